@@ -1,0 +1,33 @@
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+BIN := .venv/bin
+
+help:            ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
+
+.venv/ready: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[bags,dev]'
+	@touch $@
+
+demo: .venv/ready   ## calibrate the embedded sample (sets up first)
+	$(BIN)/skidsteer calibrate sample:p3at-lab --out build/demo
+	@echo "written: build/demo/calibration.yaml"
+
+test: .venv/ready   ## all tests (sets up first)
+	$(BIN)/python -m pytest
+
+lint: .venv/ready   ## ruff and mypy
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/ruff format --check src tests benchmarks
+	$(BIN)/mypy
+
+bench: .venv/ready  ## measure speed and memory, writes docs/benchmarks.md
+	$(BIN)/python -m pip install --quiet psutil
+	$(BIN)/python benchmarks/run.py
+
+clean:           ## remove everything that was made
+	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+.PHONY: help demo test lint bench clean

@@ -1,0 +1,1 @@
+"""Calibrated motion models for skid-steer robots."""

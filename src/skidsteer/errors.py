@@ -1,0 +1,13 @@
+"""What can be wrong with a user's data or request; each message names the fact and the cure."""
+
+
+class SkidSteerError(Exception):
+    """Bad data or an impossible request. The command line prints it as one line and exits with 1."""
+
+
+class DataError(SkidSteerError):
+    """A file or a log that cannot be used: what, where, and what to do."""
+
+
+class RequestError(SkidSteerError):
+    """A request that the given data or model cannot serve."""

@@ -1,0 +1,26 @@
+"""Motion models. A new one is one file and one line here, from the simplest to the richest."""
+
+from skidsteer.models.differential import Differential, Multiplier
+from skidsteer.models.icr import Icr, SymmetricIcr
+from skidsteer.models.linear import Linear
+from skidsteer.models.model import MatrixModel, Model, Parameter
+
+MODELS: dict[str, type[Model]] = {
+    "differential": Differential,
+    "multiplier": Multiplier,
+    "icr_symmetric": SymmetricIcr,
+    "icr": Icr,
+    "linear": Linear,
+}
+
+__all__ = [
+    "MODELS",
+    "Differential",
+    "Icr",
+    "Linear",
+    "MatrixModel",
+    "Model",
+    "Multiplier",
+    "Parameter",
+    "SymmetricIcr",
+]
