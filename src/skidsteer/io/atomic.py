@@ -1,0 +1,93 @@
+"""Files and folders that appear whole or not at all: written beside their target, then renamed onto it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from uuid import uuid4
+
+from skidsteer.errors import DataError
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a UTF-8 file in one step: a reader sees the old content or the new, never a part.
+
+    Symbolic links are followed, an existing file keeps its permissions, a device such as ``/dev/stdout`` is written to.
+
+    Raises:
+        DataError: the folder is missing or cannot be written to, or the path is a folder.
+    """
+    with _plain_errors(path):
+        if _is_device(path):
+            Path(path).write_bytes(_encoded(text))
+            return
+        target = Path(os.path.realpath(path))
+        temporary = _beside(target)
+        try:
+            _write_through(temporary, text)
+            if target.is_file():
+                shutil.copymode(target, temporary)
+            os.replace(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def write_folder(path: str | os.PathLike[str], files: Mapping[str, str]) -> None:
+    """Write a folder of UTF-8 files (name -> text) in one step, in place of any folder of that name.
+
+    What the old folder holds is deleted: whether it may be is for the caller to decide.
+
+    Raises:
+        DataError: the parent folder is missing or cannot be written to, or the path is a file.
+    """
+    with _plain_errors(path):
+        target = Path(os.path.realpath(path))
+        temporary, old = _beside(target), _beside(target)
+        try:
+            temporary.mkdir()
+            for name, text in files.items():
+                _write_through(temporary / name, text)
+            if target.is_dir():
+                os.rename(target, old)
+            os.rename(temporary, target)
+        finally:
+            if old.exists() and not target.exists():
+                os.rename(old, target)
+            shutil.rmtree(temporary, ignore_errors=True)
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def _beside(target: Path) -> Path:
+    return target.parent / f".skidsteer-{uuid4().hex}.tmp"
+
+
+def _is_device(path: str | os.PathLike[str]) -> bool:
+    return os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))
+
+
+def _encoded(text: str) -> bytes:
+    # A file name that is not UTF-8 reaches us as lone surrogates: shown escaped, as no encoder takes them.
+    return text.encode("utf-8", errors="backslashreplace")
+
+
+def _write_through(path: Path, text: str) -> None:
+    with path.open("xb") as file:
+        file.write(_encoded(text))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def _plain_errors(path: str | os.PathLike[str]) -> Iterator[None]:
+    try:
+        yield
+    except FileNotFoundError as error:
+        parent = Path(os.path.realpath(path)).parent
+        raise DataError(f"cannot write {path}: there is no folder {parent}; create it first") from error
+    except PermissionError as error:
+        raise DataError(f"cannot write {path}: permission denied; choose a place you may write to") from error
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror or error}") from error
