@@ -31,7 +31,7 @@ def compose(a: ArrayLike, b: ArrayLike) -> FloatArray:
 
 
 def invert(pose: ArrayLike) -> FloatArray:
-    """The inverse motion (..., 3): ``compose(pose, invert(pose))`` is zero."""
+    """Inverse motion (..., 3): composed with the pose it gives zero."""
     pose = np.asarray(pose, dtype=float)
     position = -rotate(-pose[..., 2], pose[..., :2])
     return np.concatenate([position, -pose[..., 2:]], axis=-1)

@@ -1,0 +1,1 @@
+"""Estimators: from windows of a drive to the parameters of a model."""

@@ -48,7 +48,7 @@ class Icr(MatrixModel):
         """A of Mandow 2007, Eq. (7), in REP-103."""
         left, right, x = self.icr_y_left, self.icr_y_right, self.icr_x
         rows = np.array([[-right, left], [x, -x], [-1.0, 1.0]])
-        return rows * np.array([self.alpha_left, self.alpha_right]) / (left - right)
+        return np.asarray(rows * [self.alpha_left, self.alpha_right] / (left - right))
 
     def matrix_jacobian(self) -> FloatArray:  # noqa: D102
         left, right, x = self.icr_y_left, self.icr_y_right, self.icr_x

@@ -1,0 +1,225 @@
+"""Windows: stretches of a drive over which the reference tells the motion, and a model's prediction of that motion."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from skidsteer.drive import Drive, Series
+from skidsteer.kernels import rollout as kernels
+from skidsteer.models import MatrixModel, Model
+from skidsteer.se2 import FloatArray, between, rotate
+
+MAX_GAP = 1.0  # [s] without a wheel sample: nothing is known of the motion beyond
+WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
+CHUNK = 200_000  # steps handled at once for models that are not linear in the speeds: bounds the memory
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How the reference lies against the wheels in time, [s].
+
+    ``time_offset``: the reference's stamps are late by this (negative: early). ``lag``: time constant with which the
+    body follows the measured rim speeds.
+    """
+
+    time_offset: float = 0.0
+    lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.time_offset) and np.isfinite(self.lag) and self.lag >= 0.0):
+            raise ValueError(f"need a finite time_offset and lag >= 0 [s], got {self.time_offset}, {self.lag}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Measured motions between two reference stamps of one drive.
+
+    ``joined[i]`` tells that window i begins with the very pose that window i - 1 ends with, so that they share its
+    noise.
+    """
+
+    start: FloatArray  # (k,) [s] reference clock
+    end: FloatArray  # (k,)
+    motion: FloatArray  # (k, 3) pose at the end seen from the pose at the start
+    joined: np.ndarray  # (k,) bool
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def where(self, keep: np.ndarray) -> Windows:
+        """The windows chosen by a mask (k,); a window whose predecessor is dropped is no longer joined."""
+        index = np.flatnonzero(keep)
+        joined = self.joined[index] & np.concatenate([[False], np.diff(index) == 1])
+        return Windows(self.start[index], self.end[index], self.motion[index], joined)
+
+
+def pieces(drive: Drive) -> FloatArray:
+    """Stretches (k, 2) of reference time [s] in which wheels and reference are both there: the segments, or the whole.
+
+    They are cut where no wheel sample came for ``MAX_GAP``.
+    """
+    t = drive.wheels.t
+    gaps = np.flatnonzero(np.diff(t) > MAX_GAP)
+    covered = np.stack([np.r_[t[0], t[gaps + 1]], np.r_[t[gaps], t[-1]]], axis=1)
+    if drive.segments is None:
+        return covered
+    cut = [(max(a, s), min(b, e)) for s, e in drive.segments for a, b in covered if max(a, s) < min(b, e)]
+    return np.array(cut).reshape(-1, 2)
+
+
+def increment_windows(drive: Drive, longest: float = 5.0) -> Windows:
+    """Windows between neighbouring reference poses; none longer than ``longest`` [s]."""
+    pose = _pose(drive)
+    index = [_inside(pose.t, piece) for piece in pieces(drive)]
+    pairs = np.concatenate([np.stack([i[:-1], i[1:]], axis=1) for i in index if len(i) > 1] or [np.zeros((0, 2), int)])
+    windows = _windows(pose, pairs)
+    return windows.where(windows.end - windows.start <= longest)
+
+
+def judging_windows(
+    drive: Drive, length: float = 2.0, shortest: float = 1.0, least_move: tuple[float, float] = (0.1, np.radians(5.0))
+) -> Windows:
+    """Windows that the errors of a model are counted on.
+
+    A window starts at a reference pose and ends at the last one no more than ``length`` [s] later; they do not
+    overlap. It counts when it is at least ``shortest`` long (no longer than ``length`` allows) and the reference moved
+    by ``least_move`` [m, rad]. In a drive with segments each segment is one window, whatever its length.
+    """
+    pose = _pose(drive)
+    pairs: list[tuple[int, int]] = []
+    for piece in pieces(drive):
+        index = _inside(pose.t, piece)
+        if len(index) < 2:
+            continue
+        if drive.segments is not None:
+            pairs.append((int(index[0]), int(index[-1])))
+            continue
+        i = int(index[0])
+        while i < index[-1]:
+            j = int(min(np.searchsorted(pose.t, pose.t[i] + length + 1e-9, side="right") - 1, index[-1]))
+            j = max(j, i + 1)
+            pairs.append((i, j))
+            i = j
+    windows = _windows(pose, np.array(pairs, dtype=int).reshape(-1, 2))
+    span, moved = windows.end - windows.start, np.abs(windows.motion)
+    moves = (np.hypot(moved[:, 0], moved[:, 1]) >= least_move[0]) | (moved[:, 2] >= least_move[1])
+    fits = (span <= length + 1e-9) | (drive.segments is not None)
+    return windows.where(moves & fits & (span >= min(shortest, 0.5 * length)))
+
+
+def _pose(drive: Drive) -> Series:
+    if drive.pose is None:
+        raise ValueError(f"{drive.name} has no reference poses")
+    return drive.pose
+
+
+def _inside(t: FloatArray, piece: FloatArray) -> np.ndarray:
+    first, last = np.searchsorted(t, [piece[0], np.nextafter(piece[1], np.inf)])
+    return np.arange(first, last)
+
+
+def _windows(pose: Series, pairs: np.ndarray) -> Windows:
+    i, j = pairs[:, 0], pairs[:, 1]
+    joined = np.concatenate([[False], i[1:] == j[:-1]]) if len(pairs) else np.zeros(0, bool)
+    return Windows(pose.t[i], pose.t[j], between(pose.values[i], pose.values[j]), joined)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """The wheel samples of windows: what each side rolled in each step, for one ``Timing``."""
+
+    distance: FloatArray  # (s, 2) [m]
+    by_lag: FloatArray  # (s, 2) [m/s] derivative by the lag
+    duration: FloatArray  # (s,) [s]
+    offsets: np.ndarray  # (k + 1,) steps offsets[i]:offsets[i + 1] belong to window i
+    start_speeds: FloatArray  # (k, 2) [m/s]
+    end_speeds: FloatArray  # (k, 2) [m/s]
+
+
+def steps(wheels: Series, windows: Windows, timing: Timing) -> Steps:
+    """Cut the wheel log (held speeds, behind the lag) at the ends of windows moved by the time offset."""
+    t, v, restart = _warmed_up(wheels)
+    f, g = kernels.lag_states(t, v, timing.lag, restart)
+    start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
+    first, offsets = kernels.count_steps(t, start, end)
+    rolled = kernels.roll(t, v, f, g, timing.lag, start, end, first, offsets)
+    ends = (kernels.speeds_at(t, v, f, timing.lag, query) for query in (start, end))
+    return Steps(*rolled, offsets, *ends)
+
+
+def _warmed_up(wheels: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Wheel samples with the first one after each gap held backwards; 1 where the time before is unknown."""
+    t, v = wheels.t, wheels.values
+    after = np.flatnonzero(np.diff(t) > MAX_GAP) + 1
+    early = t[after] - np.minimum(WARM_UP, 0.5 * np.diff(t)[after - 1])
+    restart = np.zeros(len(t))
+    restart[after] = 0.0
+    return (
+        np.insert(t, after, early),
+        np.insert(v, after, v[after], axis=0),
+        np.insert(restart, after, 1.0),
+    )
+
+
+def predict(model: Model, wheels: Series, windows: Windows, timing: Timing) -> FloatArray:
+    """Motion (k, 3) that the model predicts for each window."""
+    cut = steps(wheels, windows, timing)
+    return kernels.rollout(_increments(model, cut.distance, cut.duration), cut.offsets)
+
+
+def linearize(model: Model, wheels: Series, windows: Windows, timing: Timing) -> tuple[FloatArray, FloatArray]:
+    """As ``predict``, with the derivative (k, 3, p + 2) by the parameters, the time offset and the lag."""
+    cut = steps(wheels, windows, timing)
+    if isinstance(model, MatrixModel):
+        motion, by_entry = kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets)
+        by_parameter = by_entry[..., :6] @ model.matrix_jacobian().reshape(6, -1)
+        by_lag = by_entry[..., 6:]
+    else:
+        motion, jacobian = _rollout_in_chunks(model, cut)
+        by_parameter, by_lag = jacobian[..., :-1], jacobian[..., -1:]
+    return motion, np.concatenate([by_parameter, _by_offset(model, cut, motion)[..., None], by_lag], axis=-1)
+
+
+def _increments(model: Model, distance: FloatArray, duration: FloatArray) -> FloatArray:
+    dt = duration[:, None]
+    speed = np.divide(distance, dt, out=np.zeros_like(distance), where=dt > 0)
+    return np.ascontiguousarray(model.twist(speed[:, 0], speed[:, 1]) * dt)
+
+
+def _rollout_in_chunks(model: Model, cut: Steps) -> tuple[FloatArray, FloatArray]:
+    cuts = np.searchsorted(cut.offsets, np.arange(CHUNK, cut.offsets[-1], CHUNK))
+    edges = np.unique(np.r_[0, cuts, len(cut.offsets) - 1])
+    parts = [_rollout_part(model, cut, a, b) for a, b in itertools.pairwise(edges)]
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3, len(model.theta) + 1))
+    motion, jacobian = zip(*parts, strict=True)
+    return np.concatenate(motion), np.concatenate(jacobian)
+
+
+def _rollout_part(model: Model, cut: Steps, a: int, b: int) -> tuple[FloatArray, FloatArray]:
+    part = slice(cut.offsets[a], cut.offsets[b])
+    dt = cut.duration[part, None]
+    speed = np.divide(cut.distance[part], dt, out=np.zeros_like(cut.distance[part]), where=dt > 0)
+    left, right = speed[:, 0], speed[:, 1]
+    by_parameter = model.parameter_jacobian(left, right) * dt[..., None]
+    by_lag = model.speed_jacobian(left, right) @ cut.by_lag[part, :, None]
+    increments = np.ascontiguousarray(model.twist(left, right) * dt)
+    jacobian = np.ascontiguousarray(np.concatenate([by_parameter, by_lag], axis=-1))
+    return kernels.rollout_sensitivities(increments, jacobian, cut.offsets[a : b + 1] - cut.offsets[a])
+
+
+def _by_offset(model: Model, cut: Steps, motion: FloatArray) -> FloatArray:
+    """Derivative (k, 3) of the motion by the time offset: sliding, a window loses at its end, gains at its start.
+
+    From T(a, b): dT/db is the body twist at b turned by the yaw of T, dT/da is minus that at a, moved to the end.
+    """
+    first = model.twist(cut.start_speeds[:, 0], cut.start_speeds[:, 1])
+    last = model.twist(cut.end_speeds[:, 0], cut.end_speeds[:, 1])
+    x, y, yaw = np.moveaxis(motion, -1, 0)
+    omega = first[:, 2:]
+    gained = first[:, :2] + omega * np.stack([-y, x], axis=-1)
+    lost = rotate(yaw, last[:, :2])
+    return np.concatenate([gained - lost, omega - last[:, 2:]], axis=-1)
