@@ -84,10 +84,14 @@ def _write_through(path: Path, text: str) -> None:
 def _plain_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
-    except FileNotFoundError as error:
-        parent = Path(os.path.realpath(path)).parent
-        raise DataError(f"cannot write {path}: there is no folder {parent}; create it first") from error
+    except IsADirectoryError as error:
+        raise DataError(f"cannot write {path}: it is a folder; name a file in it") from error
+    except NotADirectoryError as error:
+        raise DataError(f"cannot write {path}: a file is in the place of a folder; choose another path") from error
     except PermissionError as error:
         raise DataError(f"cannot write {path}: permission denied; choose a place you may write to") from error
     except OSError as error:
+        parent = os.path.dirname(os.path.realpath(path))
+        if not os.path.exists(parent):
+            raise DataError(f"cannot write {path}: there is no folder {parent}; create it first") from error
         raise DataError(f"cannot write {path}: {error.strerror or error}") from error

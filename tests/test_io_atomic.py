@@ -1,0 +1,105 @@
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from skidsteer.errors import DataError
+from skidsteer.io import atomic
+
+
+def content(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def test_writes_and_replaces_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    atomic.write_text(path, "first\n")
+    path.chmod(0o640)
+    atomic.write_text(path, "zweite µ\n")
+    assert path.read_bytes() == "zweite µ\n".encode()
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert os.listdir(tmp_path) == ["calibration.yaml"]
+
+
+def test_writes_through_a_link_and_into_a_device(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    atomic.write_text(tmp_path / "link", "text")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "file").read_text() == "text"
+    atomic.write_text(os.devnull, "text")
+    assert not os.path.isfile(os.devnull)
+
+
+def test_writes_a_name_that_is_not_utf8_escaped(tmp_path: Path) -> None:
+    atomic.write_text(tmp_path / "file", "drive \udcff")
+    assert (tmp_path / "file").read_text() == "drive \\udcff"
+
+
+@pytest.mark.parametrize(
+    ("path", "fault"),
+    [
+        ("missing/file", "there is no folder .*missing; create it first"),
+        (".", "it is a folder; name a file in it"),
+        ("plain/file", "a file is in the place of a folder"),
+        ("x" * 300, "File name too long"),
+    ],
+)
+def test_names_what_is_wrong_with_a_path(tmp_path: Path, path: str, fault: str) -> None:
+    (tmp_path / "plain").write_text("")
+    with pytest.raises(DataError, match=f"cannot write .*{fault}"):
+        atomic.write_text(tmp_path / path, "text")
+    assert os.listdir(tmp_path) == ["plain"]
+
+
+def test_a_failed_write_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    atomic.write_text(tmp_path / "file", "old")
+    monkeypatch.setattr(os, "fsync", _fail(OSError(28, "No space left on device")))
+    with pytest.raises(DataError, match="No space left on device"):
+        atomic.write_text(tmp_path / "file", "new")
+    assert content(tmp_path) == {"file": "old"}
+
+
+def test_refused_permission_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "replace", _fail(PermissionError(13, "Permission denied")))
+    with pytest.raises(DataError, match="permission denied; choose a place you may write to"):
+        atomic.write_text(tmp_path / "file", "new")
+    assert os.listdir(tmp_path) == []
+
+
+def test_writes_and_replaces_a_folder(tmp_path: Path) -> None:
+    atomic.write_folder(tmp_path / "drive", {"a": "1", "b": "2"})
+    atomic.write_folder(tmp_path / "drive", {"c": "3"})
+    assert content(tmp_path / "drive") == {"c": "3"}
+    assert os.listdir(tmp_path) == ["drive"]
+
+
+@pytest.mark.parametrize("failing", ["fsync", "second rename"])
+def test_a_failed_write_leaves_the_old_folder_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    atomic.write_folder(tmp_path / "drive", {"a": "old"})
+    if failing == "fsync":
+        monkeypatch.setattr(os, "fsync", _fail(OSError(28, "No space left on device")))
+    else:
+        rename, calls = os.rename, iter([True, False, True])
+        monkeypatch.setattr(os, "rename", lambda a, b: rename(a, b) if next(calls) else _fail(OSError(5, "I/O"))())
+    with pytest.raises(DataError, match="cannot write"):
+        atomic.write_folder(tmp_path / "drive", {"a": "new", "b": "new"})
+    assert content(tmp_path / "drive") == {"a": "old"}
+    assert os.listdir(tmp_path) == ["drive"]
+
+
+def test_does_not_replace_a_file_by_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "drive").write_text("precious")
+    with pytest.raises(DataError, match="a file is in the place of a folder"):
+        atomic.write_folder(tmp_path / "drive", {"a": "1"})
+    assert content(tmp_path) == {"drive": "precious"}
+
+
+def _fail(error: OSError) -> Callable[..., None]:
+    def function(*_: object) -> None:
+        raise error
+
+    return function
