@@ -70,10 +70,10 @@ def pieces(drive: Drive) -> FloatArray:
     return np.array(cut).reshape(-1, 2)
 
 
-def increment_windows(drive: Drive, longest: float = 5.0) -> Windows:
-    """Windows between neighbouring reference poses; none longer than ``longest`` [s]."""
+def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) -> Windows:
+    """Windows between neighbouring reference poses, of those at least ``spacing`` [s] apart; none above ``longest``."""
     pose = _pose(drive)
-    index = [_inside(pose.t, piece) for piece in pieces(drive)]
+    index = [_thinned(pose.t, _inside(pose.t, piece), spacing) for piece in pieces(drive)]
     pairs = np.concatenate([np.stack([i[:-1], i[1:]], axis=1) for i in index if len(i) > 1] or [np.zeros((0, 2), int)])
     windows = _windows(pose, pairs)
     return windows.where(windows.end - windows.start <= longest)
@@ -85,29 +85,33 @@ def judging_windows(
     """Windows that the errors of a model are counted on.
 
     A window starts at a reference pose and ends at the last one no more than ``length`` [s] later; they do not
-    overlap. It counts when it is at least ``shortest`` long (no longer than ``length`` allows) and the reference moved
-    by ``least_move`` [m, rad]. In a drive with segments each segment is one window, whatever its length.
+    overlap. It counts when it is at least ``shortest`` long (half of ``length`` where that is less) and the reference
+    moved by ``least_move`` [m, rad]. In a drive with segments each segment is one window, whatever its length.
     """
     pose = _pose(drive)
-    pairs: list[tuple[int, int]] = []
-    for piece in pieces(drive):
-        index = _inside(pose.t, piece)
-        if len(index) < 2:
-            continue
-        if drive.segments is not None:
-            pairs.append((int(index[0]), int(index[-1])))
-            continue
-        i = int(index[0])
-        while i < index[-1]:
-            j = int(min(np.searchsorted(pose.t, pose.t[i] + length + 1e-9, side="right") - 1, index[-1]))
-            j = max(j, i + 1)
-            pairs.append((i, j))
-            i = j
-    windows = _windows(pose, np.array(pairs, dtype=int).reshape(-1, 2))
+    windows = _windows(pose, judging_pairs(drive, pose.t, length))
     span, moved = windows.end - windows.start, np.abs(windows.motion)
     moves = (np.hypot(moved[:, 0], moved[:, 1]) >= least_move[0]) | (moved[:, 2] >= least_move[1])
-    fits = (span <= length + 1e-9) | (drive.segments is not None)
-    return windows.where(moves & fits & (span >= min(shortest, 0.5 * length)))
+    return windows.where(moves & (span >= min(shortest, 0.5 * length)))
+
+
+def judging_pairs(drive: Drive, t: FloatArray, length: float) -> np.ndarray:
+    """First and last index (k, 2) into the reference stamps t (n,) of windows no longer than ``length`` [s]."""
+    pairs: list[tuple[int, int]] = []
+    for piece in pieces(drive):
+        index = _inside(t, piece)
+        if len(index) < 2:
+            continue
+        i, last = int(index[0]), int(index[-1])
+        if drive.segments is not None:
+            pairs.append((i, last))
+            continue
+        while i < last:
+            j = min(int(np.searchsorted(t, t[i] + length + 1e-9, side="right")) - 1, last)
+            if j > i:
+                pairs.append((i, j))
+            i = max(j, i + 1)
+    return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def _pose(drive: Drive) -> Series:
@@ -119,6 +123,19 @@ def _pose(drive: Drive) -> Series:
 def _inside(t: FloatArray, piece: FloatArray) -> np.ndarray:
     first, last = np.searchsorted(t, [piece[0], np.nextafter(piece[1], np.inf)])
     return np.arange(first, last)
+
+
+def _thinned(t: FloatArray, index: np.ndarray, spacing: float) -> np.ndarray:
+    """Every index whose time is at least ``spacing`` after the last one kept; the very last is kept where it fits."""
+    if spacing <= 0.0 or len(index) < 2:
+        return index
+    kept = [int(index[0])]
+    while True:
+        following = int(np.searchsorted(t[index], t[kept[-1]] + spacing - 1e-9))
+        if following >= len(index):
+            break
+        kept.append(int(index[following]))
+    return np.array(kept)
 
 
 def _windows(pose: Series, pairs: np.ndarray) -> Windows:
@@ -170,9 +187,8 @@ def predict(model: Model, wheels: Series, windows: Windows, timing: Timing) -> F
     return kernels.rollout(_increments(model, cut.distance, cut.duration), cut.offsets)
 
 
-def linearize(model: Model, wheels: Series, windows: Windows, timing: Timing) -> tuple[FloatArray, FloatArray]:
-    """As ``predict``, with the derivative (k, 3, p + 2) by the parameters, the time offset and the lag."""
-    cut = steps(wheels, windows, timing)
+def linearize(model: Model, cut: Steps) -> tuple[FloatArray, FloatArray]:
+    """Motion (k, 3) of cut windows, and its derivative (k, 3, p + 2) by parameters, time offset and lag."""
     if isinstance(model, MatrixModel):
         motion, by_entry = kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets)
         by_parameter = by_entry[..., :6] @ model.matrix_jacobian().reshape(6, -1)

@@ -1,0 +1,113 @@
+"""What a calibration is: a model with covariance, nuisance terms, noise, held-out figures and provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skidsteer.metrics import Spread, WindowErrors
+from skidsteer.models import Model
+from skidsteer.noise import Noise
+from skidsteer.se2 import FloatArray
+from skidsteer.vehicle import Vehicle
+from skidsteer.windows import Timing
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One number, its standard deviation, and whether the drive determines it at all.
+
+    Where ``determined`` is False the value is little more than the assumption the search began with.
+    """
+
+    value: float
+    sigma: float
+    unit: str
+    determined: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Errors of one model on windows that its fit did not see."""
+
+    windows: int
+    translation_m: Spread
+    yaw_deg: Spread
+    yaw_gyro_deg: Spread | None = None
+
+    @classmethod
+    def of(cls, errors: WindowErrors) -> HeldOut:
+        """Figures of window errors; the gyro's only where there is one."""
+        gyro = Spread.of(np.degrees(errors.yaw_gyro)) if len(errors.yaw_gyro) else None
+        count = max(len(errors.translation), len(errors.yaw_gyro))
+        return cls(count, Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveRecord:
+    """Which drive a calibration was made from."""
+
+    name: str
+    source: str
+    sha256: str
+    duration: float  # [s]
+    windows: int  # reference increments used
+    outliers: int  # of them weighed down
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """How a calibration came to be."""
+
+    drives: tuple[DriveRecord, ...]
+    options: Mapping[str, str | float | int | bool | None]
+    software: str
+    created: str  # ISO 8601, UTC
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A calibrated motion model.
+
+    ``names`` orders ``covariance`` (m, m): the model's parameters, ``lag``, then ``time_offset`` or, for several
+    drives, ``time_offset:NAME`` of each.
+    """
+
+    vehicle: Vehicle
+    model: Model
+    names: tuple[str, ...]
+    estimates: Mapping[str, Estimate]
+    covariance: FloatArray
+    noise: Noise
+    provenance: Provenance
+    method: str = "least-squares"
+    selected_because: str = ""
+    warnings: tuple[str, ...] = ()
+    held_out: Mapping[str, HeldOut] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        covariance = np.array(self.covariance, dtype=float)
+        size = len(self.names)
+        if covariance.shape != (size, size) or set(self.names) != set(self.estimates):
+            raise ValueError(f"covariance {covariance.shape} and estimates must fit the {size} names {self.names}")
+        covariance.setflags(write=False)
+        object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """Estimates of the model's parameters."""
+        return {p.name: self.estimates[p.name] for p in self.model.PARAMETERS}
+
+    @property
+    def nuisance(self) -> dict[str, Estimate]:
+        """Estimates of what is not the robot's motion: lag and time offsets."""
+        return {name: e for name, e in self.estimates.items() if name not in self.parameters}
+
+    @property
+    def timing(self) -> Timing:
+        """Lag, and the median of the time offsets of the drives: what to expect of a drive from the same set-up."""
+        offsets = [e.value for name, e in self.nuisance.items() if name.startswith("time_offset")]
+        lag = self.estimates["lag"].value if "lag" in self.estimates else 0.0
+        return Timing(float(np.median(offsets)) if offsets else 0.0, lag)

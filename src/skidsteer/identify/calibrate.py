@@ -1,0 +1,213 @@
+"""From drives to a calibration: fit, judge on held-out windows, choose the model, say what the drives do not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from importlib.metadata import version
+from typing import Literal
+
+import numpy as np
+
+from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, Provenance
+from skidsteer.drive import Drive
+from skidsteer.errors import DataError, RequestError
+from skidsteer.identify.genetic import GeneticOptions, genetic_fit
+from skidsteer.identify.holdout import HeldOutErrors, held_out
+from skidsteer.identify.least_squares import Fit, FitOptions, fit
+from skidsteer.identify.select import select
+from skidsteer.models import MODELS
+from skidsteer.windows import Windows, increment_windows, pieces
+
+Method = Literal["least-squares", "genetic"]
+BASELINES = ("differential", "multiplier", "icr")
+DETERMINED = 0.25  # a sigma above this share of what was known before the drive: not determined
+LEAST_MOVE = 0.5  # [m] rolled in all, below which there is nothing to calibrate
+Progress = Callable[[str, int, int], None]  # what is being done, steps done, steps in all
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateOptions:
+    """What to calibrate and how; the defaults work."""
+
+    model: str = "auto"  # name of a model, or auto: chosen by held-out errors
+    method: Method = "least-squares"
+    window: float = 2.0  # [s] length of the judging windows
+    seed: int = 0  # of the genetic search
+    fit: FitOptions = FitOptions()
+
+    def __post_init__(self) -> None:
+        if self.model != "auto" and self.model not in MODELS:
+            raise RequestError(f"no model '{self.model}'; there are: auto, {', '.join(MODELS)}")
+        if self.method not in ("least-squares", "genetic"):
+            raise RequestError(f"no method '{self.method}'; there are: least-squares, genetic")
+        if not (np.isfinite(self.window) and self.window > 0.0):
+            raise RequestError(f"--window must be a positive time in s, got {self.window}")
+
+
+def calibrate(
+    drive: Drive | Sequence[Drive],
+    model: str = "auto",
+    options: CalibrateOptions | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a motion model from one drive or several of the same robot.
+
+    Args:
+        drive: with wheels and reference poses; each has its own time offset, all share model and lag.
+        model: name of a model, or auto. Ignored where ``options`` are given.
+        options: everything that can be chosen.
+        progress: called as work goes on.
+
+    Raises:
+        DataError: no reference, no common time, nothing moved.
+        RequestError: no such model or method, or a method that the model does not support.
+    """
+    drives = [drive] if isinstance(drive, Drive) else list(drive)
+    options = options or CalibrateOptions(model=model)
+    windows = [_usable(d) for d in drives]
+    names = list(MODELS) if options.model == "auto" else sorted({*BASELINES, options.model}, key=list(MODELS).index)
+    judged = judge_models(names, drives, options, progress)
+    chosen, because = _choose(options, judged)
+    _tell(progress, f"fitting {chosen}", len(names), len(names) + 1)
+    start = MODELS[chosen].nominal(drives[0].vehicle)
+    found = fit(start, drives, windows, options.fit)
+    notes = []
+    if options.method == "genetic":
+        found, note = genetic_fit(found, drives, windows, GeneticOptions(seed=options.seed))
+        notes.append(note)
+    _tell(progress, "done", len(names) + 1, len(names) + 1)
+    return Calibration(
+        vehicle=drives[0].vehicle,
+        model=found.model,
+        names=found.names,
+        estimates=_estimates(found),
+        covariance=found.covariance,
+        noise=found.noise,
+        provenance=_provenance(drives, found, options),
+        method=options.method,
+        selected_because=because,
+        warnings=(*_warnings(found, judged, chosen, drives), *notes),
+        held_out={name: HeldOut.of(errors.errors) for name, errors in judged.items()},
+    )
+
+
+def judge_models(
+    names: Sequence[str], drives: list[Drive], options: CalibrateOptions, progress: Progress | None = None
+) -> dict[str, HeldOutErrors]:
+    """Held-out errors of the named models; empty where the drives are too short to hold anything out."""
+    judged: dict[str, HeldOutErrors] = {}
+    for i, name in enumerate(names):
+        _tell(progress, f"judging {name}", i, len(names) + 1)
+        start = MODELS[name].nominal(drives[0].vehicle)
+        result = held_out(start, drives, options.fit, options.window)
+        if result is None or not len(result.errors):
+            return {}
+        judged[name] = result
+    return judged
+
+
+def _tell(progress: Progress | None, what: str, done: int, total: int) -> None:
+    if progress is not None:
+        progress(what, done, total)
+
+
+def _usable(drive: Drive) -> Windows:
+    """Reference increments of a drive that can be calibrated from."""
+    if drive.pose is None:
+        has = "positions without heading" if drive.position is not None else "no reference"
+        raise DataError(f"{drive.name}: has {has}; calibration needs reference poses (pose.csv: t, x, y, yaw)")
+    if not len(pieces(drive)) or not len(windows := increment_windows(drive)):
+        a, b = drive.pose.t[[0, -1]]
+        raise DataError(
+            f"{drive.name}: wheels ({drive.span[0]:.1f} to {drive.span[1]:.1f} s) and reference ({a:.1f} to {b:.1f} s)"
+            " share no time with two reference poses in it; bring them onto one clock"
+        )
+    rolled = np.abs(drive.wheels.values[:-1]).mean(axis=1) @ np.minimum(np.diff(drive.wheels.t), 1.0)
+    moved = np.abs(windows.motion[:, :2]).sum() + np.abs(windows.motion[:, 2]).sum()
+    if rolled < LEAST_MOVE or moved < 0.2 * LEAST_MOVE:
+        what = "wheels" if rolled < LEAST_MOVE else "reference"
+        raise DataError(
+            f"{drive.name}: the robot stands still (the {what} moved by {min(rolled, moved):.2f} m in all);"
+            " record a drive with straights and turns both ways"
+        )
+    if windows.end[-1] - windows.start[0] < 2.0 * 2.0:
+        raise DataError(
+            f"{drive.name}: only {windows.end[-1] - windows.start[0]:.1f} s of reference; at least 4 s needed"
+        )
+    return windows
+
+
+def _choose(options: CalibrateOptions, judged: Mapping[str, HeldOutErrors]) -> tuple[str, str]:
+    if not judged:
+        name = "icr_symmetric" if options.model == "auto" else options.model
+        return name, "the drive is too short to hold anything out: no comparison was possible"
+    selection = select(judged)
+    if options.model == "auto":
+        return selection.name, selection.because
+    return options.model, f"asked for; by held-out errors it would be: {selection.because}"
+
+
+def _estimates(found: Fit) -> dict[str, Estimate]:
+    sigma = np.sqrt(np.diag(found.covariance))
+    units = {p.name: p.unit for p in found.model.PARAMETERS}
+    return {
+        name: Estimate(float(found.values[i]), float(sigma[i]), units.get(name, "s"), _determined(found, i))
+        for i, name in enumerate(found.names)
+    }
+
+
+def _determined(found: Fit, i: int) -> bool:
+    """Given, or known much better than before the drive."""
+    return bool(not found.free[i] or found.covariance[i, i] < (DETERMINED * found.prior_sigma[i]) ** 2)
+
+
+def _warnings(found: Fit, judged: Mapping[str, HeldOutErrors], chosen: str, drives: Sequence[Drive]) -> tuple[str, ...]:
+    notes = []
+    weak = [name for i, name in enumerate(found.names) if not _determined(found, i)]
+    if weak:
+        notes.append(f"not determined by this drive: {', '.join(weak)}; the values given are assumptions, see sigma")
+    if not found.converged:
+        notes.append("the fit did not converge; look at the log with `skidsteer check` before using the result")
+    if found.inflated > 1.0:
+        notes.append(
+            f"errors last longer than the noise model explains: variances were raised {found.inflated:.1f}-fold"
+            " by the scatter between stretches of 10 s"
+        )
+    outliers = sum(int((w.end < 1).sum()) for w in found.weights)
+    if outliers > 0.1 * found.windows:
+        notes.append(f"{outliers} of {found.windows} reference poses are outliers: the reference is poor")
+    if {"multiplier", "icr"} <= judged.keys() and chosen not in ("multiplier", "differential"):
+        notes += _simple_enough(judged)
+    if not judged:
+        notes.append("too short to hold anything out: no honest figure of its errors on new ground")
+    return tuple(notes)
+
+
+def _simple_enough(judged: Mapping[str, HeldOutErrors]) -> list[str]:
+    pair = select({name: judged[name] for name in ("multiplier", "icr")})
+    return ["one multiplier does as well as the five ICR parameters here"] if pair.name == "multiplier" else []
+
+
+def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) -> Provenance:
+    records = tuple(
+        DriveRecord(d.name, d.source, d.sha256, d.span[1] - d.span[0], len(w.end), int((w.end < 1).sum()))
+        for d, w in zip(drives, found.weights, strict=True)
+    )
+    chosen: dict[str, str | float | int | bool | None] = {
+        "model": options.model,
+        "method": options.method,
+        "window": options.window,
+        "seed": options.seed,
+        "time_offset": options.fit.time_offset,
+        "lag": options.fit.lag,
+        "robust": options.fit.robust,
+    }
+    created = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    return Provenance(records, chosen, f"skidsteer {version('skidsteer')}", created)
+
+
+def with_timing(options: CalibrateOptions, time_offset: float | None, lag: float | None) -> CalibrateOptions:
+    """The same options with time offset or lag [s] fixed; None leaves them to be estimated."""
+    return replace(options, fit=replace(options.fit, time_offset=time_offset, lag=lag))

@@ -1,0 +1,94 @@
+"""Judging models on what their fit did not see: blocks of time, fitted on one half and judged on the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from skidsteer.drive import Drive
+from skidsteer.identify.least_squares import Fit, FitOptions, fit
+from skidsteer.metrics import WindowErrors, window_errors
+from skidsteer.models import Model
+from skidsteer.se2 import FloatArray
+from skidsteer.windows import Windows, increment_windows, judging_windows, pieces
+
+BLOCKS = 10  # of a drive; even ones are fitted while odd ones are judged, and the other way round
+SHORTEST_BLOCK = 4.0  # [s]
+
+Fitter = Callable[[list[Drive], list[Windows]], Fit]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutErrors:
+    """Errors of one model on held-out windows, and the block (k,) that each window lies in."""
+
+    errors: WindowErrors
+    block: np.ndarray
+
+
+def block_edges(drive: Drive) -> FloatArray:
+    """Times (b + 1,) [s] that cut a drive into at most ``BLOCKS`` blocks; segments are kept whole.
+
+    Blocks hold equal shares of the time in which wheels and reference are both there.
+    """
+    stretches = pieces(drive)
+    total = float(np.diff(stretches, axis=1).sum())
+    count = int(min(BLOCKS, total // SHORTEST_BLOCK))
+    if drive.segments is not None:
+        count = min(BLOCKS, len(stretches))
+        first = stretches[np.linspace(0, len(stretches), count + 1).astype(int)[1:-1], 0]
+    else:
+        lasted = np.concatenate([[0.0], np.cumsum(np.diff(stretches, axis=1))])
+        wanted = np.linspace(0.0, total, max(count, 1) + 1)[1:-1]
+        piece = np.minimum(np.searchsorted(lasted, wanted, side="right") - 1, len(stretches) - 1)
+        first = stretches[piece, 0] + wanted - lasted[piece]
+    return np.concatenate([[-np.inf], first, [np.inf]])
+
+
+def held_out(
+    start: Model, drives: list[Drive], options: FitOptions, length: float = 2.0, fitter: Fitter | None = None
+) -> HeldOutErrors | None:
+    """Errors on all judging windows, each predicted by a fit to the blocks it does not lie in.
+
+    Args:
+        start: where the fit begins.
+        drives: at least one.
+        options: of the fit.
+        length: of the judging windows [s].
+        fitter: how to fit; the default is least squares.
+
+    Returns:
+        None where the drives are too short to be cut into four blocks or more.
+    """
+    fitter = fitter or (lambda d, w: fit(start, d, w, options))
+    edges = [block_edges(drive) for drive in drives]
+    if sum(len(e) - 1 for e in edges) < 4:
+        return None
+    increments = [increment_windows(drive) for drive in drives]
+    judged = [judging_windows(drive, length) for drive in drives]
+    errors, blocks = [], []
+    for fold in (0, 1):
+        train = [w.where(_parity(w, e) != fold) for w, e in zip(increments, edges, strict=True)]
+        if not any(map(len, train)):
+            return None
+        found = fitter(drives, train)
+        for i, (drive, w, e) in enumerate(zip(drives, judged, edges, strict=True)):
+            test = w.where((_parity(w, e) == fold) & _whole(w, e))
+            errors.append(window_errors(found.model, drive, found.timings[i], length, test))
+            blocks.append(1000 * i + _block(test.start, e))
+    return HeldOutErrors(WindowErrors.join(errors), np.concatenate(blocks))
+
+
+def _block(t: FloatArray, edges: FloatArray) -> np.ndarray:
+    return np.asarray(np.searchsorted(edges, t, side="right") - 1)
+
+
+def _parity(windows: Windows, edges: FloatArray) -> np.ndarray:
+    return np.asarray(_block(windows.start, edges) % 2)
+
+
+def _whole(windows: Windows, edges: FloatArray) -> np.ndarray:
+    """Windows that do not reach into the next block."""
+    return np.asarray(_block(windows.start, edges) == _block(np.nextafter(windows.end, -np.inf), edges))

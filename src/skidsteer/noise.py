@@ -1,0 +1,151 @@
+"""How wrong reference poses and motion predictions are: five standard deviations, found by maximum likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass, fields
+
+import numpy as np
+from scipy.optimize import minimize
+
+from skidsteer.kernels import chain
+from skidsteer.models import Model
+from skidsteer.se2 import FloatArray, wrap
+from skidsteer.windows import Steps, Windows
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations. The reference errs anew at each pose; the motion's error grows with the distance rolled.
+
+    ``stamp`` is the scatter of the reference's time stamps: at speed it moves a pose along its own path.
+    The distance rolled is the mean of what the two rims rolled, so that a turn on the spot counts.
+    """
+
+    position: float = 0.02  # [m] of a reference position, each axis
+    yaw: float = 0.01  # [rad] of a reference yaw
+    stamp: float = 0.02  # [s]
+    walk: float = 0.05  # [m / sqrt(m)] of the position, each axis, after a metre rolled
+    turn: float = 0.05  # [rad / sqrt(m)] of the yaw, after a metre rolled
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if not getattr(self, f.name) > 0.0:
+                raise ValueError(f"noise {f.name} must be positive, got {getattr(self, f.name)}")
+
+
+BOUNDS = Noise(1e-5, 1e-5, 1e-4, 1e-4, 1e-4), Noise(1.0, 1.0, 0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Shares (k,) in (0, 1] that outliers keep: of the pose a window starts with, ends with, and of its motion."""
+
+    start: FloatArray
+    end: FloatArray
+    motion: FloatArray
+
+    @classmethod
+    def ones(cls, count: int) -> Weights:
+        """Nothing is an outlier."""
+        return cls(np.ones(count), np.ones(count), np.ones(count))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Measured less predicted motions of one drive, and what their covariance depends on."""
+
+    windows: Windows
+    residual: FloatArray  # (k, 3) in the frame of the start pose, yaw wrapped
+    rolled: FloatArray  # (k,) [m] mean distance rolled by the two rims
+    start_twist: FloatArray  # (k, 3) body twist at the start
+    end_twist: FloatArray  # (k, 3) body twist at the end
+
+    def covariances(self, noise: Noise, weights: Weights) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Variance of the motion (k, 3), covariance of start and end pose (k, 3, 3), for ``kernels.chain``."""
+        growth = np.array([noise.walk**2, noise.walk**2, noise.turn**2])
+        process = self.rolled[:, None] * growth / weights.motion[:, None]
+        start = _pose_covariance(noise, self.start_twist) / weights.start[:, None, None]
+        end = _pose_covariance(noise, self.end_twist) / weights.end[:, None, None]
+        return process, start, end
+
+
+def residuals(model: Model, windows: Windows, cut: Steps, predicted: FloatArray) -> Residuals:
+    """Compare predicted motions (k, 3) with the measured ones."""
+    residual = windows.motion - predicted
+    residual[:, 2] = wrap(residual[:, 2])
+    cumulative = np.concatenate([[0.0], np.cumsum(np.abs(cut.distance).mean(axis=1))])
+    rolled = np.diff(cumulative[cut.offsets])
+    twists = (model.twist(s[:, 0], s[:, 1]) for s in (cut.start_speeds, cut.end_speeds))
+    return Residuals(windows, residual, rolled, *twists)
+
+
+def _pose_covariance(noise: Noise, twist: FloatArray) -> FloatArray:
+    fixed = np.diag([noise.position**2, noise.position**2, noise.yaw**2])
+    return fixed + noise.stamp**2 * twist[:, :, None] * twist[:, None, :]
+
+
+def deviance(parts: list[Residuals], noise: Noise, weights: list[Weights]) -> float:
+    """-2 log likelihood of the residuals, less its constant."""
+    total = 0.0
+    for part, weight in zip(parts, weights, strict=True):
+        count = len(part.residual)
+        block = np.zeros(count, np.int64)
+        total += chain.information(
+            part.windows.motion,
+            part.windows.joined,
+            part.residual,
+            np.zeros((count, 3, 0)),
+            *part.covariances(noise, weight),
+            block,
+            1,
+        )[2]
+    return total
+
+
+def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most: int = 4000) -> Noise:
+    """Maximum-likelihood noise for given residuals, on at most ``most`` windows from the middle of each drive."""
+    some, light = zip(*(_middle(p, w, most) for p, w in zip(parts, weights, strict=True)), strict=True)
+    low, high = (np.log(astuple(b)) for b in BOUNDS)
+
+    def cost(x: FloatArray) -> float:
+        return deviance(list(some), Noise(*np.exp(x).tolist()), list(light))
+
+    x0 = np.clip(np.log(astuple(start)), low, high)
+    found = minimize(cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4})
+    return Noise(*np.exp(found.x if found.fun < cost(x0) else x0).tolist())
+
+
+def _middle(part: Residuals, weights: Weights, most: int) -> tuple[Residuals, Weights]:
+    count = len(part.residual)
+    if count <= most:
+        return part, weights
+    first = (count - most) // 2
+    keep = np.zeros(count, bool)
+    keep[first : first + most] = True
+    arrays = (part.residual, part.rolled, part.start_twist, part.end_twist)
+    kept = Residuals(part.windows.where(keep), *(a[keep] for a in arrays))
+    return kept, Weights(weights.start[keep], weights.end[keep], weights.motion[keep])
+
+
+OUTLIER = 16.27  # squared distance in three dimensions that one sample in a thousand exceeds
+
+
+def reweigh(parts: list[Residuals], noise: Noise) -> list[Weights]:
+    """Weights from the most probable errors: 1 for all that the noise explains, falling as 1 / distance^2 beyond.
+
+    Smoothing tells a wrong pose (both motions beside it disagree with the wheels, their sum agrees) from a wrong motion
+    (a spinning side, a jump of the reference): each is weighed down where it happened.
+    """
+    out = []
+    for part in parts:
+        ones = Weights.ones(len(part.residual))
+        process, noise_start, noise_end = part.covariances(noise, ones)
+        args = (part.windows.motion, part.windows.joined, part.residual, process, noise_start, noise_end)
+        start, end, moved = chain.smooth(*args)
+        distances = (
+            np.einsum("ki,kij,kj->k", start, np.linalg.inv(noise_start), start),
+            np.einsum("ki,kij,kj->k", end, np.linalg.inv(noise_end), end),
+            np.divide(moved**2, process, out=np.zeros_like(moved), where=process > 0).sum(axis=1),  # at rest: 0 / 0
+        )
+        out.append(Weights(*(np.minimum(1.0, OUTLIER / np.maximum(d, OUTLIER)) for d in distances)))
+    return out
