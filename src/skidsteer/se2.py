@@ -13,7 +13,8 @@ FloatArray = NDArray[np.float64]
 
 def wrap(angle: ArrayLike) -> FloatArray:
     """Angles of any shape [rad] brought into [-pi, pi)."""
-    return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi)
+    wrapped = (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
+    return np.asarray(np.where(wrapped >= np.pi, -np.pi, wrapped))  # just below -pi the remainder rounds up
 
 
 def rotate(yaw: ArrayLike, vector: ArrayLike) -> FloatArray:
