@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
 from skidsteer.identify.holdout import HeldOutErrors, held_out
 from skidsteer.identify.least_squares import Fit, FitOptions, fit
-from skidsteer.identify.select import select
+from skidsteer.identify.select import Selection, select
+from skidsteer.identify.spacing import choose_spacing
 from skidsteer.models import MODELS
-from skidsteer.windows import Windows, increment_windows, pieces
+from skidsteer.windows import increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
@@ -35,7 +36,8 @@ class CalibrateOptions:
     method: Method = "least-squares"
     window: float = 2.0  # [s] length of the judging windows
     seed: int = 0  # of the genetic search
-    fit: FitOptions = FitOptions()
+    spacing: float | None = None  # [s] least distance of reference poses used; None: chosen by the drives
+    fit: FitOptions = field(default_factory=FitOptions)
 
     def __post_init__(self) -> None:
         if self.model != "auto" and self.model not in MODELS:
@@ -66,7 +68,12 @@ def calibrate(
     """
     drives = [drive] if isinstance(drive, Drive) else list(drive)
     options = options or CalibrateOptions(model=model)
-    windows = [_usable(d) for d in drives]
+    for d in drives:
+        _usable(d)
+    _tell(progress, "looking at the reference", 0, 1)
+    spacing = choose_spacing(drives, options.fit) if options.spacing is None else options.spacing
+    windows = [increment_windows(d, spacing) for d in drives]
+    options = replace(options, spacing=spacing)
     names = list(MODELS) if options.model == "auto" else sorted({*BASELINES, options.model}, key=list(MODELS).index)
     judged = judge_models(names, drives, options, progress)
     chosen, because = _choose(options, judged)
@@ -101,7 +108,7 @@ def judge_models(
     for i, name in enumerate(names):
         _tell(progress, f"judging {name}", i, len(names) + 1)
         start = MODELS[name].nominal(drives[0].vehicle)
-        result = held_out(start, drives, options.fit, options.window)
+        result = held_out(start, drives, options.fit, options.window, options.spacing or 0.0)
         if result is None or not len(result.errors):
             return {}
         judged[name] = result
@@ -113,8 +120,8 @@ def _tell(progress: Progress | None, what: str, done: int, total: int) -> None:
         progress(what, done, total)
 
 
-def _usable(drive: Drive) -> Windows:
-    """Reference increments of a drive that can be calibrated from."""
+def _usable(drive: Drive) -> None:
+    """Refuse a drive that cannot be calibrated from."""
     if drive.pose is None:
         has = "positions without heading" if drive.position is not None else "no reference"
         raise DataError(f"{drive.name}: has {has}; calibration needs reference poses (pose.csv: t, x, y, yaw)")
@@ -136,7 +143,6 @@ def _usable(drive: Drive) -> Windows:
         raise DataError(
             f"{drive.name}: only {windows.end[-1] - windows.start[0]:.1f} s of reference; at least 4 s needed"
         )
-    return windows
 
 
 def _choose(options: CalibrateOptions, judged: Mapping[str, HeldOutErrors]) -> tuple[str, str]:
@@ -200,6 +206,7 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
         "method": options.method,
         "window": options.window,
         "seed": options.seed,
+        "spacing": options.spacing,
         "time_offset": options.fit.time_offset,
         "lag": options.fit.lag,
         "robust": options.fit.robust,
@@ -208,6 +215,38 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
     return Provenance(records, chosen, f"skidsteer {version('skidsteer')}", created)
 
 
-def with_timing(options: CalibrateOptions, time_offset: float | None, lag: float | None) -> CalibrateOptions:
-    """The same options with time offset or lag [s] fixed; None leaves them to be estimated."""
-    return replace(options, fit=replace(options.fit, time_offset=time_offset, lag=lag))
+def make_options(
+    model: str = "auto",
+    method: str = "least-squares",
+    window: float = 2.0,
+    seed: int = 0,
+    time_offset: float | None = None,
+    lag: float | None = None,
+) -> CalibrateOptions:
+    """Options from the words of a command line; time offset and lag [s] are estimated where they are None.
+
+    Raises:
+        RequestError: a word or number that cannot be.
+    """
+    for name, value in (("time offset", time_offset), ("lag", lag)):
+        if value is not None and not (np.isfinite(value) and abs(value) <= 5.0 and (name != "lag" or value >= 0.0)):
+            raise RequestError(f"the {name} must be a time in s of at most 5 s (a lag not negative), got {value}")
+    fit_options = FitOptions(time_offset=time_offset, lag=lag)
+    return CalibrateOptions(model, cast("Method", method), window, seed, fit=fit_options)
+
+
+def compare_models(
+    drives: list[Drive], length: float = 2.0, progress: Progress | None = None
+) -> tuple[dict[str, HeldOut], Selection]:
+    """Held-out figures of every model, and which one the drives support.
+
+    Raises:
+        DataError: a drive that cannot be calibrated from, or too little to hold anything out.
+    """
+    for drive in drives:
+        _usable(drive)
+    options = CalibrateOptions(window=length, spacing=choose_spacing(drives, FitOptions()))
+    judged = judge_models(list(MODELS), drives, options, progress)
+    if not judged:
+        raise DataError(f"{drives[0].name}: too short to hold anything out; at least 16 s in motion are needed")
+    return {name: HeldOut.of(errors.errors) for name, errors in judged.items()}, select(judged)

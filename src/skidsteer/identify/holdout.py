@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from skidsteer.drive import Drive
-from skidsteer.identify.least_squares import Fit, FitOptions, fit
+from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
@@ -16,8 +15,6 @@ from skidsteer.windows import Windows, increment_windows, judging_windows, piece
 
 BLOCKS = 10  # of a drive; even ones are fitted while odd ones are judged, and the other way round
 SHORTEST_BLOCK = 4.0  # [s]
-
-Fitter = Callable[[list[Drive], list[Windows]], Fit]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +45,7 @@ def block_edges(drive: Drive) -> FloatArray:
 
 
 def held_out(
-    start: Model, drives: list[Drive], options: FitOptions, length: float = 2.0, fitter: Fitter | None = None
+    start: Model, drives: list[Drive], options: FitOptions, length: float = 2.0, spacing: float = 0.0
 ) -> HeldOutErrors | None:
     """Errors on all judging windows, each predicted by a fit to the blocks it does not lie in.
 
@@ -57,23 +54,22 @@ def held_out(
         drives: at least one.
         options: of the fit.
         length: of the judging windows [s].
-        fitter: how to fit; the default is least squares.
+        spacing: of the reference poses that are fitted to [s], see ``increment_windows``.
 
     Returns:
         None where the drives are too short to be cut into four blocks or more.
     """
-    fitter = fitter or (lambda d, w: fit(start, d, w, options))
     edges = [block_edges(drive) for drive in drives]
     if sum(len(e) - 1 for e in edges) < 4:
         return None
-    increments = [increment_windows(drive) for drive in drives]
+    increments = [increment_windows(drive, spacing) for drive in drives]
     judged = [judging_windows(drive, length) for drive in drives]
     errors, blocks = [], []
     for fold in (0, 1):
         train = [w.where(_parity(w, e) != fold) for w, e in zip(increments, edges, strict=True)]
         if not any(map(len, train)):
             return None
-        found = fitter(drives, train)
+        found = fit(start, drives, train, options)
         for i, (drive, w, e) in enumerate(zip(drives, judged, edges, strict=True)):
             test = w.where((_parity(w, e) == fold) & _whole(w, e))
             errors.append(window_errors(found.model, drive, found.timings[i], length, test))

@@ -36,7 +36,7 @@ class FitOptions:
     robust: bool = True  # weigh down outliers
     search: tuple[float, float] = (-1.0, 1.5)  # [s] where the time offset is looked for
     rounds: int = 6  # of parameters, then noise and weights
-    iterations: int = 20  # Gauss-Newton steps in a round
+    iterations: int = 40  # Gauss-Newton steps in a round
     tolerance: float = 1e-3  # converged: no parameter moves by more than this share of its sigma
     block: float = 10.0  # [s] stretches that are taken as independent for the check of the covariance
 
@@ -123,7 +123,9 @@ def _start(
     return _State(model, x, n), prior, free, limits
 
 
-def find_offset(model: Model, drive: Drive, windows: Windows, search: tuple[float, float], most: int = 3000) -> float:
+def find_offset(
+    model: Model, drive: Drive, windows: Windows, search: tuple[float, float], lag: float = 0.0, most: int = 3000
+) -> float:
     """Time offset [s] at which predicted and measured increments agree best, on a grid of 0.05 s.
 
     Yaw and forward increments each vote with the share of their variance that the prediction explains, so that the
@@ -135,7 +137,7 @@ def find_offset(model: Model, drive: Drive, windows: Windows, search: tuple[floa
     measured = some.motion[:, [0, 2]] * rate
     scores = []
     for offset in candidates:
-        predicted = predict(model, drive.wheels, some, Timing(float(offset)))[:, [0, 2]] * rate
+        predicted = predict(model, drive.wheels, some, Timing(float(offset), lag))[:, [0, 2]] * rate
         scores.append(sum(_explained(measured[:, i], predicted[:, i]) for i in range(2)))
     return float(candidates[int(np.argmax(scores))]) if max(scores) > 0.2 else 0.0
 

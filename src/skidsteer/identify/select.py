@@ -12,17 +12,34 @@ from skidsteer.identify.holdout import HeldOutErrors
 from skidsteer.models import MODELS
 from skidsteer.se2 import FloatArray
 
-LEVEL = 0.05  # one-sided: worse only if chance would make it look so in fewer than one case in twenty
+LEVEL = 0.025  # one-sided, for translation and yaw each: together one false alarm in twenty
+
+
+@dataclass(frozen=True, slots=True)
+class Excess:
+    """Typical error of one model over that of another, and the chance to see so much more if both were equal."""
+
+    share: float  # ratio of the geometric means over windows, less one; negative: smaller
+    low: float  # 95 % interval
+    high: float
+    p_worse: float  # one-sided
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Typical held-out error of one model over that of another, and the chance to see so much if both were equal."""
+    """One model against the best, on the same held-out windows."""
 
-    excess: float  # share by which the error is larger (geometric mean over windows); negative: smaller
-    low: float  # 95 % interval of the excess
-    high: float
-    p_worse: float  # one-sided
+    translation: Excess
+    yaw: Excess
+
+    @property
+    def worse(self) -> bool:
+        """Significantly worse in translation or in yaw."""
+        return min(self.translation.p_worse, self.yaw.p_worse) < LEVEL
+
+    def __str__(self) -> str:
+        t, y = self.translation, self.yaw
+        return f"translation {100 * t.share:+.0f} % (p = {t.p_worse:.2g}), yaw {100 * y.share:+.0f} % (p = {y.p_worse:.2g})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,61 +51,57 @@ class Selection:
     against_best: Mapping[str, Comparison]
 
 
-def scores(results: Mapping[str, HeldOutErrors]) -> dict[str, FloatArray]:
-    """Logarithm (k,) of one error a window: translation and yaw together, each in units of its median.
+def excess(error: FloatArray, other: FloatArray, block: np.ndarray) -> Excess:
+    """Paired test of errors (k,) against others (k,) of the same windows, by the block (k,) each window lies in.
 
-    The logarithm makes a model's share of error count alike in slow and fast windows, and outliers harmless.
+    Windows inside a block are not independent, blocks nearly are. The logarithm lets a share of error count alike in
+    slow and fast windows, and makes outliers harmless.
     """
-    t_unit = float(np.median([np.median(r.errors.translation) for r in results.values()]))
-    y_unit = float(np.median([np.median(np.abs(r.errors.yaw)) for r in results.values()]))
-    return {name: np.log(np.hypot(r.errors.translation / t_unit, r.errors.yaw / y_unit)) for name, r in results.items()}
-
-
-def compare(score: FloatArray, best: FloatArray, block: np.ndarray) -> Comparison:
-    """Paired test over blocks: windows inside a block are not independent, blocks nearly are.
-
-    Args:
-        score: (k,) log errors of a model.
-        best: (k,) log errors of the other on the same windows.
-        block: (k,) which block a window lies in.
-    """
+    tiny = np.finfo(float).tiny
+    ratio = np.log(np.maximum(np.abs(error), tiny)) - np.log(np.maximum(np.abs(other), tiny))
     number = np.unique(block, return_inverse=True)[1]
-    weight = np.bincount(number).astype(float)
-    difference = np.bincount(number, score - best) / weight
-    share = weight / weight.sum()
-    mean, count = float(share @ difference), len(weight)
-    variance = float(share**2 @ (difference - mean) ** 2) * count / max(count - 1, 1)
-    if variance == 0.0 or count < 2:
-        return Comparison(*[float(np.expm1(mean))] * 3, 1.0 if mean <= 0 else 0.5)
-    sigma = float(np.sqrt(variance))
-    half = float(student.ppf(0.975, count - 1)) * sigma
-    p = float(student.sf(mean / sigma, count - 1))
-    return Comparison(*(float(np.expm1(m)) for m in (mean, mean - half, mean + half)), p)
+    count = np.bincount(number).astype(float)
+    mean_of_block, share, blocks = np.bincount(number, ratio) / count, count / count.sum(), len(count)
+    mean = float(share @ mean_of_block)
+    sigma = float(np.sqrt(share**2 @ (mean_of_block - mean) ** 2 * blocks / max(blocks - 1, 1)))
+    if sigma == 0.0 or blocks < 2:
+        only = float(np.expm1(mean))
+        return Excess(only, only, only, 1.0 if mean <= 0.0 else 0.5)
+    half = float(student.ppf(0.975, blocks - 1)) * sigma
+    low, high = float(np.expm1(mean - half)), float(np.expm1(mean + half))
+    return Excess(float(np.expm1(mean)), low, high, float(student.sf(mean / sigma, blocks - 1)))
 
 
 def select(results: Mapping[str, HeldOutErrors]) -> Selection:
     """Choose among the models of ``results`` (at least one), whose windows must be the same."""
-    score = scores(results)
-    best = min(score, key=lambda name: float(np.mean(score[name])))
-    block = results[best].block
-    against = {name: compare(s, score[best], block) for name, s in score.items()}
-    simple = sorted(score, key=lambda name: len(MODELS[name].PARAMETERS))
-    chosen = next(name for name in simple if name == best or against[name].p_worse > LEVEL)
+    best = min(results, key=lambda name: _typical(results[name]))
+    against = {
+        name: Comparison(
+            excess(r.errors.translation, results[best].errors.translation, r.block),
+            excess(r.errors.yaw, results[best].errors.yaw, r.block),
+        )
+        for name, r in results.items()
+    }
+    simple = sorted(results, key=lambda name: len(MODELS[name].PARAMETERS))
+    chosen = next(name for name in simple if name == best or not against[name].worse)
     return Selection(chosen, _sentence(chosen, best, against, simple), against)
+
+
+def _typical(result: HeldOutErrors) -> float:
+    """Mean log of translation and yaw errors: the unit of neither matters when models are compared."""
+    tiny = np.finfo(float).tiny
+    sizes = np.stack([result.errors.translation, np.abs(result.errors.yaw)])
+    return float(np.log(np.maximum(sizes, tiny)).mean())
 
 
 def _sentence(chosen: str, best: str, against: Mapping[str, Comparison], simple: list[str]) -> str:
     count = len(MODELS[chosen].PARAMETERS)
+    numbered = f"{chosen} ({count} parameter{'' if count == 1 else 's'})"
     rank = simple.index(chosen)
-    below = ""
-    if rank:
-        c = against[simple[rank - 1]]
-        below = f"; the next simpler, {simple[rank - 1]}, errs {100 * c.excess:.0f} % more (p = {c.p_worse:.2g})"
+    below = f"; simpler {simple[rank - 1]} errs more: {against[simple[rank - 1]]}" if rank else ""
     if chosen == best:
-        return f"{chosen} ({count} parameters) has the least held-out error of all models{below}"
-    c = against[chosen]
+        return f"{numbered} has the least held-out error of all models{below}"
     return (
-        f"{chosen} ({count} parameters) is the simplest model that is not significantly worse on held-out windows than"
-        f" the best, {best}: {100 * c.excess:+.0f} % (95 % interval {100 * c.low:+.0f} to {100 * c.high:+.0f} %,"
-        f" p = {c.p_worse:.2g}){below}"
+        f"{numbered} is the simplest model not significantly worse on held-out windows than the best, {best}:"
+        f" {against[chosen]}{below}"
     )

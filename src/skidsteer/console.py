@@ -1,0 +1,115 @@
+"""Results for people at a terminal: tables, one sentence, a progress bar on standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from skidsteer.calibration import Calibration, Estimate, HeldOut
+from skidsteer.evaluate import Evaluation
+from skidsteer.identify.calibrate import Progress as Report
+from skidsteer.identify.select import Excess, Selection
+
+OUT = Console(highlight=False)
+ERR = Console(stderr=True, highlight=False)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Report]:
+    """A bar on standard error; the value is what reports to it: what is done, steps done, steps in all."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), console=ERR, transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def report(what: str, done: int, total: int) -> None:
+            bar.update(task, description=escape(what), completed=done, total=total)
+
+        yield report
+
+
+def show_calibration(calibration: Calibration) -> None:
+    """Parameters with their sigmas, held-out errors, and what to know about them."""
+    drives = ", ".join(d.name for d in calibration.provenance.drives)
+    OUT.print(f"[bold]{escape(calibration.vehicle.name)}[/bold] from {escape(drives)}: model {calibration.model.NAME}")
+    OUT.print(_parameters(calibration))
+    if calibration.held_out:
+        OUT.print(_errors(calibration.held_out, "held-out error", chosen=calibration.model.NAME))
+        OUT.print(before_after(calibration))
+    OUT.print(f"Chosen: {escape(calibration.selected_because)}.")
+    for warning in calibration.warnings:
+        OUT.print(f"[yellow]Note:[/yellow] {escape(warning)}.")
+
+
+def before_after(calibration: Calibration) -> str:
+    """One sentence: how far dead reckoning is off with the nominal and with the calibrated model."""
+    before = calibration.held_out["differential"]
+    after = calibration.held_out[calibration.model.NAME]
+    length = calibration.provenance.options.get("window")
+    return (
+        f"Before: dead reckoning over windows of {length} s is off by {before.translation_m.rms:.3f} m and"
+        f" {before.yaw_deg.rms:.1f} deg (RMS, nominal track width)."
+        f" After: {after.translation_m.rms:.3f} m and {after.yaw_deg.rms:.1f} deg."
+    )
+
+
+def _parameters(calibration: Calibration) -> Table:
+    table = Table("parameter", "value", "+- sigma", "unit", "", box=None, pad_edge=False)
+    for name, e in (calibration.parameters | calibration.nuisance).items():
+        table.add_row(escape(name), *_numbers(e), e.unit, "" if e.determined else "[red]not determined[/red]")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    return table
+
+
+def _numbers(e: Estimate) -> tuple[str, str]:
+    """Value and sigma, to two digits of the sigma."""
+    if e.sigma == 0.0:
+        return f"{e.value:.6g}", "given"
+    digits = min(max(0, -int(f"{e.sigma:e}".split("e")[1]) + 1), 8)
+    return f"{e.value:.{digits}f}", f"{e.sigma:.{digits}f}"
+
+
+def _errors(figures: Mapping[str, HeldOut], title: str, chosen: str = "", count: str = "model") -> Table:
+    gyro = any(h.yaw_gyro_deg for h in figures.values())
+    table = Table(count, "windows", "median", "RMS", "95 %", "median", "RMS", "95 %", box=None, pad_edge=False)
+    table.title, table.title_justify = escape(f"{title}: translation [m], yaw [deg]"), "left"
+    if gyro:
+        table.add_column("vs gyro")
+    for name, h in figures.items():
+        t, y = h.translation_m, h.yaw_deg
+        row = [escape(name), str(h.windows), *(f"{v:.3f}" for v in (t.median, t.rms, t.p95))]
+        row += [f"{v:.2f}" for v in (y.median, y.rms, y.p95)]
+        row += [f"{h.yaw_gyro_deg.median:.2f}" if h.yaw_gyro_deg else "-"] if gyro else []
+        table.add_row(*row, style="bold" if name == chosen else None)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table
+
+
+def show_evaluation(evaluation: Evaluation) -> None:
+    """Errors of each drive and of all."""
+    rows = dict(evaluation.drives)
+    if len(rows) > 1:
+        rows["all"] = evaluation.total
+    OUT.print(_errors(rows, "error", count="drive"))
+    offsets = ", ".join(f"{escape(name)} {offset:+.3f} s" for name, offset in evaluation.time_offsets.items())
+    OUT.print(f"Time offset used: {offsets}.")
+
+
+def _excess(e: Excess) -> str:
+    return f"{100 * e.share:+.0f} % ({100 * e.low:+.0f} to {100 * e.high:+.0f} %)"
+
+
+def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> None:
+    """Held-out errors of all models, and the verdict."""
+    OUT.print(_errors(held_out, "held-out error", chosen=selection.name))
+    table = Table("against the best", "translation", "yaw", "", box=None, pad_edge=False)
+    for name, c in selection.against_best.items():
+        table.add_row(name, _excess(c.translation), _excess(c.yaw), "significantly worse" if c.worse else "")
+    OUT.print(table)
+    OUT.print(f"Chosen: {escape(selection.because)}.")

@@ -1,0 +1,71 @@
+"""Results as plain dictionaries: what ``--json`` prints. Keys name their unit; NaN becomes null."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+from skidsteer.calibration import Calibration, Estimate, HeldOut
+from skidsteer.evaluate import Evaluation
+from skidsteer.identify.select import Selection
+
+Document = dict[str, Any]
+
+
+def calibration_document(calibration: Calibration) -> Document:
+    """What ``calibrate --json`` prints."""
+    return {
+        "model": calibration.model.NAME,
+        "parameters": {name: _estimate(e) for name, e in calibration.parameters.items()},
+        "nuisance": {name: _estimate(e) for name, e in calibration.nuisance.items()},
+        "noise": asdict(calibration.noise),
+        "method": calibration.method,
+        "selected_because": calibration.selected_because,
+        "warnings": list(calibration.warnings),
+        "held_out": {name: _held_out(h) for name, h in calibration.held_out.items()},
+        "vehicle": asdict(calibration.vehicle),
+        "drives": [asdict(d) for d in calibration.provenance.drives],
+        "software": calibration.provenance.software,
+    }
+
+
+def evaluation_document(evaluation: Evaluation, length: float) -> Document:
+    """What ``evaluate --json`` prints."""
+    drives = {
+        name: {**_held_out(h), "time_offset_s": evaluation.time_offsets[name]} for name, h in evaluation.drives.items()
+    }
+    return {"window_s": length, **_held_out(evaluation.total), "drives": drives}
+
+
+def comparison_document(held_out: dict[str, HeldOut], selection: Selection) -> Document:
+    """What ``compare --json`` prints."""
+    return {
+        "selected": selection.name,
+        "selected_because": selection.because,
+        "models": {
+            name: {**_held_out(h), "against_best": asdict(selection.against_best[name])} for name, h in held_out.items()
+        },
+    }
+
+
+def _estimate(e: Estimate) -> Document:
+    return {"value": e.value, "sigma": e.sigma, "unit": e.unit, "determined": e.determined}
+
+
+def _held_out(figures: HeldOut) -> Document:
+    return {key: value for key, value in asdict(figures).items() if value is not None}
+
+
+def to_json(document: Document) -> str:
+    """Strict JSON of a document."""
+    return json.dumps(_finite(document), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

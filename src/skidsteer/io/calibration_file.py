@@ -1,0 +1,221 @@
+"""``calibration.yaml``: a `Calibration` as YAML that reads back exactly, to the last bit and word."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, Provenance
+from skidsteer.errors import DataError
+from skidsteer.io.atomic import write_text
+from skidsteer.io.text_file import decode, read_bytes
+from skidsteer.io.vehicle_file import VehicleFile
+from skidsteer.metrics import Spread
+from skidsteer.models import MODELS
+from skidsteer.noise import Noise
+from skidsteer.vehicle import Vehicle
+
+SCHEMA = 1
+LARGEST = 16 << 20  # [bytes]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class _Estimate(_Strict):
+    value: float
+    sigma: float
+    unit: str
+    determined: bool
+
+
+class _Model(_Strict):
+    name: str
+    fixed: dict[str, float]
+    parameters: dict[str, _Estimate]
+
+
+class _Covariance(_Strict):
+    names: list[str]
+    rows: list[list[float]]
+
+
+class _Noise(_Strict):
+    position: float
+    yaw: float
+    stamp: float
+    walk: float
+    turn: float
+
+
+class _Spread(_Strict):
+    median: float
+    rms: float
+    p95: float
+
+
+class _HeldOut(_Strict):
+    windows: int
+    translation_m: _Spread
+    yaw_deg: _Spread
+    yaw_gyro_deg: _Spread | None = None
+
+
+class _DriveRecord(_Strict):
+    name: str
+    source: str
+    sha256: str
+    duration: float
+    windows: int
+    outliers: int
+
+
+class _Provenance(_Strict):
+    software: str
+    created: str
+    drives: list[_DriveRecord]
+    options: dict[str, str | bool | int | float | None]
+
+
+class _File(_Strict):
+    """The layout of the file; what a number means stands with the field of the same name in the values."""
+
+    skidsteer_calibration: int
+    vehicle: VehicleFile
+    model: _Model
+    nuisance: dict[str, _Estimate]
+    covariance: _Covariance
+    noise: _Noise
+    method: str
+    selected_because: str
+    warnings: list[str]
+    held_out: dict[str, _HeldOut]
+    provenance: _Provenance
+
+
+def save_calibration(calibration: Calibration, path: str | os.PathLike[str]) -> None:
+    """Write a calibration as YAML, all of it or nothing.
+
+    Raises:
+        DataError: the file cannot be written.
+    """
+    write_text(path, calibration_text(calibration))
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """The content of ``calibration.yaml``."""
+    model, provenance = calibration.model, calibration.provenance
+    own = {p.name for p in model.PARAMETERS}
+    content = {
+        "skidsteer_calibration": SCHEMA,
+        "vehicle": asdict(calibration.vehicle),
+        "model": {
+            "name": model.NAME,
+            "fixed": {name: value for name, value in asdict(model).items() if name not in own},
+            "parameters": {name: asdict(e) for name, e in calibration.parameters.items()},
+        },
+        "nuisance": {name: asdict(e) for name, e in calibration.nuisance.items()},
+        "covariance": {"names": list(calibration.names), "rows": calibration.covariance.tolist()},
+        "noise": asdict(calibration.noise),
+        "method": calibration.method,
+        "selected_because": calibration.selected_because,
+        "warnings": list(calibration.warnings),
+        "held_out": {name: _without_none(asdict(h)) for name, h in calibration.held_out.items()},
+        "provenance": {
+            "software": provenance.software,
+            "created": provenance.created,
+            "drives": [asdict(d) for d in provenance.drives],
+            "options": dict(provenance.options),
+        },
+    }
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+
+
+def _without_none(content: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in content.items() if value is not None}
+
+
+def load_calibration(path: str | os.PathLike[str]) -> Calibration:
+    """Read a calibration.
+
+    Raises:
+        DataError: no such file, not YAML, not a calibration, of another version, or with values that cannot be.
+    """
+    content = _parse(path, decode(path, read_bytes(path, LARGEST)))
+    version = content.get("skidsteer_calibration")
+    if version != SCHEMA:
+        found = "no version" if version is None else f"version {str(version)[:20]!r}"
+        raise DataError(f"{path}: a calibration file of {found}, this software reads version {SCHEMA}; calibrate again")
+    try:
+        return _calibration(_File.model_validate(content))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise DataError(f"{path}: {where}: {first['msg']}") from error
+    except (ValueError, TypeError) as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _parse(path: str | os.PathLike[str], text: str) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark is not None else ""
+        problem = str(getattr(error, "problem", None) or "not plain data").splitlines()[0]
+        raise DataError(f"{path}: is not YAML of plain values{where}: {problem}") from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path}: is not a calibration file; make one with `skidsteer calibrate DRIVE --out DIR`")
+    return content
+
+
+def _calibration(file: _File) -> Calibration:
+    if file.model.name not in MODELS:
+        raise ValueError(f"model.name: no model '{file.model.name}'; there are: {', '.join(MODELS)}")
+    values = {name: e.value for name, e in file.model.parameters.items()}
+    estimates = {
+        name: Estimate(e.value, e.sigma, e.unit, e.determined)
+        for name, e in (file.model.parameters | file.nuisance).items()
+    }
+    _refuse_unphysical(estimates, file.covariance)
+    return Calibration(
+        vehicle=Vehicle(**file.vehicle.model_dump()),
+        model=MODELS[file.model.name](**values, **file.model.fixed),
+        names=tuple(file.covariance.names),
+        estimates=estimates,
+        covariance=np.array(file.covariance.rows, dtype=float).reshape(len(estimates), -1),
+        noise=Noise(**file.noise.model_dump()),
+        provenance=Provenance(
+            tuple(DriveRecord(**d.model_dump()) for d in file.provenance.drives),
+            file.provenance.options,
+            file.provenance.software,
+            file.provenance.created,
+        ),
+        method=file.method,
+        selected_because=file.selected_because,
+        warnings=tuple(file.warnings),
+        held_out={name: _held_out(h) for name, h in file.held_out.items()},
+    )
+
+
+def _refuse_unphysical(estimates: dict[str, Estimate], covariance: _Covariance) -> None:
+    for name, e in estimates.items():
+        if not (np.isfinite(e.value) and np.isfinite(e.sigma) and e.sigma >= 0):
+            raise ValueError(f"{name}: value and sigma must be finite and sigma not negative")
+    rows = covariance.rows
+    if any(len(row) != len(rows) for row in rows):
+        raise ValueError("covariance.rows: must be square")
+    matrix = np.array(rows, dtype=float).reshape(len(rows), len(rows))
+    if not (np.isfinite(matrix).all() and np.allclose(matrix, matrix.T) and (np.diag(matrix) >= 0).all()):
+        raise ValueError("covariance.rows: must be finite, symmetric and not negative on the diagonal")
+
+
+def _held_out(file: _HeldOut) -> HeldOut:
+    gyro = None if file.yaw_gyro_deg is None else Spread(**file.yaw_gyro_deg.model_dump())
+    return HeldOut(file.windows, Spread(**file.translation_m.model_dump()), Spread(**file.yaw_deg.model_dump()), gyro)
