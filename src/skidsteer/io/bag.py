@@ -1,0 +1,221 @@
+"""Bags to drives: rosbag1, rosbag2 (sqlite3, MCAP), MCAP files, whole or unfinished."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from skidsteer.drive import Drive
+from skidsteer.errors import DataError, RequestError
+from skidsteer.io.messages import JOINT_STATE, Samples, gather
+from skidsteer.io.open_bag import is_bag, open_bag
+from skidsteer.io.options import AUTOMATIC, BagOptions
+from skidsteer.io.raw import BagTopic, Source
+from skidsteer.io.reference import Frames, read_gyro, read_reference, static_edges
+from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
+from skidsteer.io.topics import ROLES, TF_TYPES, Choice, Looks, candidates, choose, offer
+from skidsteer.io.wheels import joint_wheels, pair_wheels, sides_in, twist_wheels
+from skidsteer.vehicle import Vehicle
+
+__all__ = ["AUTOMATIC", "BagContents", "BagOptions", "TopicEntry", "is_bag", "list_bag", "read_bag", "read_bag_noted"]
+
+_LOOK = 50  # messages of a joint-state topic that are looked at to find its wheels
+_LOOK_TF = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class TopicEntry:
+    """One topic of a bag: what it could serve as, and what it was or would be used as ("" for nothing)."""
+
+    name: str
+    type: str
+    count: int
+    serves: tuple[str, ...]
+    used_as: str
+
+
+@dataclass(frozen=True, slots=True)
+class BagContents:
+    """What a bag offers. ``chosen`` maps each role to its topic; ``notes`` are lines to show to the user."""
+
+    path: str
+    kind: str
+    topics: tuple[TopicEntry, ...]
+    chosen: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def list_bag(path: str | os.PathLike[str], options: BagOptions = AUTOMATIC) -> BagContents:
+    """What a bag holds, and what each topic would be used as. Reads little of the messages.
+
+    Raises:
+        DataError: the bag cannot be read.
+        RequestError: a topic that the options name is not there.
+    """
+    with open_bag(path) as source:
+        looks = _look(source, options)
+        choice = choose(source.topics, options, looks)
+        return _contents(path, source, choice, looks, choice.notes())
+
+
+def read_bag(path: str | os.PathLike[str], vehicle: Vehicle, options: BagOptions = AUTOMATIC) -> Drive:
+    """Read a bag as a drive; ``read_bag_noted`` also tells which topics were used and what was left out.
+
+    Times are header stamps where there are any, else times of recording, in seconds from a whole second before the
+    first sample. Topics that are not needed are not read. ``sha256`` is that of the numbers used.
+
+    Args:
+        path: a ``.mcap``, ``.db3`` or ``.bag`` file, or a folder of a rosbag2 recording.
+        vehicle: gives wheel radius, track width and factory multiplier.
+        options: which topics, joints and frames to use where the automatic choice does not fit.
+
+    Raises:
+        DataError: the bag, or what it holds, cannot be used.
+        RequestError: nothing in it serves as wheels, or the options ask for something that is not there.
+    """
+    return read_bag_noted(path, vehicle, options)[0]
+
+
+def read_bag_noted(
+    path: str | os.PathLike[str], vehicle: Vehicle, options: BagOptions = AUTOMATIC
+) -> tuple[Drive, BagContents]:
+    """As ``read_bag``, with what the bag holds, which topics were chosen, and what was dropped or undone on the way."""
+    with open_bag(path) as source:
+        notes: list[str] = []
+        looks = _look(source, options)
+        choice = choose(source.topics, options, looks)
+        _refuse_without_wheels(path, source, choice)
+        notes += choice.notes()
+        tables = _tables(source, choice, notes)
+        parts = _parts(tables, choice, vehicle, options, notes)
+        contents = _contents(path, source, choice, looks, notes)
+    start = common_start(list(parts.values()))
+    series: dict[str, Any] = {part: to_series(timed, start, part) for part, timed in parts.items()}
+    drive = Drive(_name(path), vehicle, source=os.fspath(path), sha256=_digest(parts), **series)
+    return drive, contents
+
+
+def _name(path: str | os.PathLike[str]) -> str:
+    path = Path(path).resolve()
+    return path.name if path.is_dir() else path.stem
+
+
+def _look(source: Source, options: BagOptions) -> Looks:
+    """Look at a few messages: names alone do not tell an arm's joints from wheels, nor what frames /tf connects."""
+    joints = [topic for topic in source.topics if topic.type == JOINT_STATE]
+    with_sides = [topic.name for topic in joints if _has_sides(_peek(source, topic, _LOOK), options)]
+    transforms = [topic for topic in source.topics if topic.type in TF_TYPES]
+    frames = Frames.of({topic: _peek(source, topic, _LOOK_TF) for topic in transforms}, options)
+    return Looks(frozenset(with_sides), frames.chain is not None)
+
+
+def _peek(source: Source, topic: BagTopic, limit: int) -> list[Samples]:
+    """The first messages of a topic; none where they are damaged, which is told when they are read for use."""
+    try:
+        return gather(source, [topic], [], limit)[topic] if topic.count else []
+    except DataError:
+        return []
+
+
+def _has_sides(tables: Sequence[Samples], options: BagOptions) -> bool:
+    sides = sides_in(tables, options)
+    return sides is not None and any({*sides.left, *sides.right} <= set(table.label) for table in tables)
+
+
+def _refuse_without_wheels(path: str | os.PathLike[str], source: Source, choice: Choice) -> None:
+    if "wheels" in choice.chosen:
+        return
+    if not any(topic.count for topic in source.topics):
+        why = f" ({'; '.join(source.notes)})" if source.notes else ""
+        raise DataError(f"{path}: holds no messages{why}")
+    joints = [topic.name for topic in source.topics if topic.type == JOINT_STATE and topic.count]
+    hint = f"; name the wheels of {joints[0]} with --left-joints and --right-joints" if joints else ""
+    raise RequestError(f"{path}: no topic serves as wheel speeds{hint}; {offer(source.topics)}")
+
+
+def _tables(source: Source, choice: Choice, notes: list[str]) -> dict[BagTopic, list[Samples]]:
+    """All messages of the chosen topics, and all static transforms; of the other transforms only if chosen."""
+    wanted = [topic for candidate in choice.chosen.values() for topic in candidate.topics]
+    wanted += [topic for topic in source.topics if topic.type in TF_TYPES and _needs(topic, wanted)]
+    return gather(source, wanted, notes)
+
+
+def _needs(topic: BagTopic, wanted: Sequence[BagTopic]) -> bool:
+    if topic.name.endswith("_static"):
+        return topic.count > 0
+    # A chain can run through several topics of transforms.
+    return topic.count > 0 and any(other.type in TF_TYPES for other in wanted)
+
+
+def _parts(
+    tables: Mapping[BagTopic, list[Samples]], choice: Choice, vehicle: Vehicle, options: BagOptions, notes: list[str]
+) -> dict[str, Timed]:
+    """The parts of the drive, by the names of its fields."""
+    chosen = {role: candidate.topics for role, candidate in choice.chosen.items()}
+    wheels, clock = _wheels(chosen["wheels"], tables, vehicle, options, notes)
+    parts = {"wheels": wheels}
+    frames = Frames.of({topic: found for topic, found in tables.items() if topic.type in TF_TYPES}, options)
+    if "reference" in chosen:
+        topic = chosen["reference"][0]
+        parts.update(read_reference(topic, tables[topic], frames, clock, notes))
+    else:
+        notes.append("no topic serves as reference; only what the gyro tells can be calibrated")
+    if "imu" in chosen:
+        topic = chosen["imu"][0]
+        parts["gyro"] = read_gyro(topic, tables[topic], static_edges(tables), options, clock, notes)
+    if "command" in chosen:
+        topic = chosen["command"][0]
+        parts["command"] = clock.timed(concatenated(tables[topic]), topic.name, notes)
+    if "wheel_command" in chosen:
+        topic = chosen["wheel_command"][0]
+        parts["wheel_command"] = joint_wheels(topic.name, tables[topic], vehicle, options, notes)[0]
+    return parts
+
+
+def _wheels(
+    topics: Sequence[BagTopic],
+    tables: Mapping[BagTopic, list[Samples]],
+    vehicle: Vehicle,
+    options: BagOptions,
+    notes: list[str],
+) -> tuple[Timed, Clock]:
+    if len(topics) == 2:
+        return pair_wheels(topics, [concatenated(tables[topic]) for topic in topics], vehicle, options, notes)
+    topic = topics[0]
+    if topic.type == JOINT_STATE:
+        return joint_wheels(topic.name, tables[topic], vehicle, options, notes)
+    return twist_wheels(topic.name, concatenated(tables[topic]), vehicle, options, notes)
+
+
+def _contents(
+    path: str | os.PathLike[str], source: Source, choice: Choice, looks: Looks, notes: Iterable[str]
+) -> BagContents:
+    serves: dict[BagTopic, list[str]] = {}
+    for role in ROLES:
+        for candidate in candidates(role, source.topics, looks):
+            for topic in candidate.topics:
+                serves.setdefault(topic, []).append(role)
+    used = {topic: role for role, candidate in choice.chosen.items() for topic in candidate.topics}
+    entries = tuple(
+        TopicEntry(topic.name, topic.type, topic.count, tuple(serves.get(topic, ())), used.get(topic, ""))
+        for topic in sorted(source.topics, key=lambda topic: topic.name)
+    )
+    chosen = MappingProxyType({role: candidate.name for role, candidate in choice.chosen.items()})
+    return BagContents(os.fspath(path), source.kind, entries, chosen, (*source.notes, *notes))
+
+
+def _digest(parts: Mapping[str, Timed]) -> str:
+    """SHA-256 over times and numbers: the same for the same recording in any container."""
+    digest = hashlib.sha256()
+    for name, timed in sorted(parts.items()):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(timed.ns, dtype="<i8").tobytes())
+        digest.update(np.ascontiguousarray(timed.values, dtype="<f8").tobytes())
+    return digest.hexdigest()

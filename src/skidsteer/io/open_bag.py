@@ -1,0 +1,189 @@
+"""Opening a bag of any kind: a file, or a rosbag2 folder with its list of files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+import yaml
+
+from skidsteer.errors import DataError
+from skidsteer.io.mcap_source import McapSource
+from skidsteer.io.raw import BagTopic, RawMessages, Source, shown
+from skidsteer.io.rosbags_source import RosbagsSource, refusing
+
+SUFFIXES = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "rosbag1"}
+_MAGIC = {".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0", ".bag": b"#ROSBAG V2.0\n"}
+_METADATA = "metadata.yaml"
+_MAX_METADATA = 4 << 20
+
+
+def is_bag(path: str | os.PathLike[str]) -> bool:
+    """True for a file that is named like a bag, and for a folder with rosbag2's metadata or with bag files in it."""
+    path = Path(path)
+    if not path.is_dir():
+        return path.suffix in SUFFIXES
+    return (path / _METADATA).is_file() or any(entry.suffix in SUFFIXES for entry in path.iterdir())
+
+
+@contextmanager
+def open_bag(path: str | os.PathLike[str]) -> Iterator[Source]:
+    """Open a bag: a ``.mcap``, ``.db3`` or ``.bag`` file, or a folder of them.
+
+    Raises:
+        DataError: there is no such file, it is no bag, or it is damaged beyond use.
+    """
+    source = _source(Path(path))
+    try:
+        yield source
+    finally:
+        source.close()
+
+
+def _source(path: Path) -> Source:
+    try:
+        if not path.exists():
+            raise DataError(f"{path}: no such file or folder")
+        if path.is_dir():
+            return _folder(path)
+        _refuse_other_files(path)
+        return _files([path])
+    except (OSError, ValueError) as error:  # ValueError: a NUL byte in the path
+        raise DataError(f"{shown(path)}: cannot be opened: {shown(error)}") from error
+
+
+def _refuse_other_files(path: Path) -> None:
+    """Say what a file is when it is not the bag that its name promises."""
+    if path.suffix not in SUFFIXES:
+        raise DataError(f"{path}: is no bag; bags are named {', '.join(sorted(SUFFIXES))}, or are a rosbag2 folder")
+    with path.open("rb") as file:
+        start = file.read(512)
+    kind = SUFFIXES[path.suffix]
+    if not start:
+        raise DataError(f"{path}: has 0 bytes; nothing was recorded, or the copy failed")
+    if start.startswith(_MAGIC[path.suffix]):
+        return
+    for suffix, magic in _MAGIC.items():
+        if start.startswith(magic):
+            raise DataError(f"{path}: is a {SUFFIXES[suffix]} file; rename it to {path.stem}{suffix}")
+    text = all(byte >= 32 or byte in b"\t\r\n" for byte in start)
+    what = "a text file" if text else "something else, or its beginning is damaged"
+    raise DataError(f"{path}: is not a {kind} file but {what}")
+
+
+def _files(paths: Sequence[Path]) -> Source:
+    suffix = paths[0].suffix
+    if suffix == ".mcap":
+        return McapSource(paths[0]) if len(paths) == 1 else _Several(paths)
+    source = RosbagsSource(paths, SUFFIXES[suffix])
+    for path in paths:
+        log = path.with_name(path.name + "-wal")
+        if log.is_file() and log.stat().st_size:
+            source.notes.append(f"{path.name}: the recorder left {log.name} behind; what is in it was not read")
+    return source
+
+
+def _folder(path: Path) -> Source:
+    if not (path / _METADATA).is_file():
+        return _files(_bag_files(path))
+    information = _metadata(path / _METADATA)
+    paths = _listed_files(path, information)
+    mode = str(information.get("compression_mode") or "none").lower()
+    if mode != "none":
+        return RosbagsSource([path], f"rosbag2, compressed by {shown(mode, 20)}")
+    suffixes = {file.suffix for file in paths}
+    if len(suffixes) != 1 or not suffixes <= {".mcap", ".db3"}:
+        raise DataError(f"{path / _METADATA}: lists files of the kinds {shown(sorted(suffixes))}; need .mcap or .db3")
+    for file in paths:
+        _refuse_other_files(file)
+    return _files(paths)
+
+
+def _bag_files(path: Path) -> list[Path]:
+    """The bag files of a folder without metadata, all of the first kind that there is."""
+    for suffix in SUFFIXES:
+        files = sorted(entry for entry in path.iterdir() if entry.suffix == suffix and entry.is_file())
+        if files:
+            for file in files:
+                _refuse_other_files(file)
+            return files
+    raise DataError(f"{path}: holds no {_METADATA} and no file named {', '.join(sorted(SUFFIXES))}")
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Safe YAML without aliases, by which a small file can stand for an endless one."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not accepted")
+        return super().compose_node(parent, index)
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > _MAX_METADATA:
+        raise DataError(f"{path}: has {path.stat().st_size} bytes; more than {_MAX_METADATA} are not read")
+    with refusing(path, "rosbag2 metadata"):
+        information = yaml.load(path.read_bytes(), Loader=_Loader)["rosbag2_bagfile_information"]
+        if not isinstance(information, dict):
+            raise TypeError("rosbag2_bagfile_information is no mapping")
+        return information
+
+
+def _listed_files(folder: Path, information: dict[str, Any]) -> list[Path]:
+    """The files that the metadata list, which must lie in the folder itself."""
+    listed = information.get("relative_file_paths")
+    if not isinstance(listed, list) or not listed or not all(isinstance(name, str) for name in listed):
+        raise DataError(f"{folder / _METADATA}: relative_file_paths must be a list of file names")
+    paths = []
+    for name in listed:
+        outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor or "\\" in name
+        if outside or ".." in PurePosixPath(name).parts:
+            raise DataError(f"{folder / _METADATA}: lists {shown(name)}, outside of the bag's folder; refused")
+        # Old versions prefix the name of the folder the bag was recorded to; the files lie beside the metadata.
+        paths.append(folder / PurePosixPath(name).name)
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing:
+        raise DataError(f"{folder}: {shown(', '.join(missing))} listed in {_METADATA} is missing")
+    return paths
+
+
+class _Several:
+    """The parts of a recording that was split into several MCAP files, as one source."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._sources: list[McapSource] = []
+        try:
+            self._sources.extend(McapSource(path) for path in paths)
+        except BaseException:
+            self.close()
+            raise
+        self.kind = self._sources[0].kind
+        self.topics = self._merged_topics()
+
+    def _merged_topics(self) -> tuple[BagTopic, ...]:
+        merged: dict[tuple[str, str, str], BagTopic] = {}
+        for topic in (topic for source in self._sources for topic in source.topics):
+            key = (topic.name, topic.type, topic.encoding)
+            first = merged.get(key)
+            count = topic.count + (first.count if first else 0)
+            definition = first.definition if first else topic.definition
+            merged[key] = BagTopic(*key[:2], count, topic.encoding, definition)
+        return tuple(merged.values())
+
+    @property
+    def notes(self) -> list[str]:
+        return [note for source in self._sources for note in source.notes]
+
+    def read(self, topics: Sequence[BagTopic], limit: int | None = None) -> Iterator[tuple[BagTopic, RawMessages]]:
+        by_key = {(topic.name, topic.type, topic.encoding): topic for topic in topics}
+        for source in self._sources:
+            own = [topic for topic in source.topics if (topic.name, topic.type, topic.encoding) in by_key]
+            for topic, piece in source.read(own, limit):
+                yield by_key[topic.name, topic.type, topic.encoding], piece
+
+    def close(self) -> None:
+        for source in self._sources:
+            source.close()

@@ -1,0 +1,45 @@
+"""What the user may decide about reading a bag."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+WHEEL_UNITS = ("rad", "rad/s", "m/s", "ticks")
+
+
+@dataclass(frozen=True, slots=True)
+class BagOptions:
+    """Choices where the automatic ones do not fit. None leaves the choice to what the bag offers.
+
+    ``wheels_topic`` may also be two topics of counters or floats, left and right, joined by a comma; ``wheels_unit``
+    says what they count. ``reference_topic`` may be ``/tf`` (or another topic of transforms).
+    """
+
+    wheels_topic: str | None = None
+    reference_topic: str | None = None
+    imu_topic: str | None = None
+    command_topic: str | None = None
+    left_joints: tuple[str, ...] = ()
+    right_joints: tuple[str, ...] = ()
+    wheel_signal: str | None = None  # "position" or "velocity" of JointState
+    wheels_unit: str | None = None  # of a pair of wheel topics: one of WHEEL_UNITS
+    base_frame: str | None = None
+    map_frame: str | None = None
+    separation: float | None = None  # [m] wheel separation in the robot's controller, for wheels from a twist
+    separation_multiplier: float | None = None  # that was in force, for wheels from a twist
+
+    def __post_init__(self) -> None:
+        for name in ("separation", "separation_multiplier"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be a positive number, got {value}")
+        if bool(self.left_joints) != bool(self.right_joints):
+            raise ValueError("left_joints and right_joints must be given together")
+        if self.wheel_signal not in (None, "position", "velocity"):
+            raise ValueError(f"wheel_signal must be position or velocity, got {self.wheel_signal}")
+        if self.wheels_unit not in (None, *WHEEL_UNITS):
+            raise ValueError(f"wheels_unit must be one of {', '.join(WHEEL_UNITS)}, got {self.wheels_unit}")
+
+
+AUTOMATIC = BagOptions()
