@@ -1,0 +1,94 @@
+"""Figures printed in Mandow 2007: Tables I and II, and the integers of the Pioneer P3-AT."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from skidsteer.models import Icr, SymmetricIcr
+from skidsteer.p3at import P3at, from_model, printed_ticksmm, revcount, ticksmm, to_model
+
+# Columns of Tables I and II in Mandow's frame, y forward, x right: y_ICRv, x_ICRr, x_ICRl, alpha_r, alpha_l, chi, e.
+TABLES = {
+    "asphalt, 50 psi": (-0.0080, 0.2998, -0.2758, 0.9253, 0.9464, 0.6949, 0.0417),
+    "asphalt, 20 psi": (-0.0120, 0.3071, -0.2553, 0.9049, 0.9271, 0.7112, 0.0921),
+    "asphalt, solid": (-0.0120, 0.2588, -0.2667, 0.9128, 0.9047, 0.7612, -0.0150),
+    "concrete, 50 psi": (-0.0159, 0.2758, -0.2878, 0.9418, 0.9457, 0.7098, -0.0213),
+    "concrete, 20 psi": (-0.0128, 0.2899, -0.2772, 0.9183, 0.9222, 0.7053, 0.0224),
+    "concrete, solid": (-0.0139, 0.2703, -0.2659, 0.9139, 0.9047, 0.7460, 0.0082),
+}
+TRACK = 0.4  # [m] Section IV.A
+
+
+def in_our_frame(column: tuple[float, ...]) -> Icr:
+    y_icr, x_right, x_left, alpha_right, alpha_left = column[:5]
+    return Icr(-x_left, -x_right, y_icr, alpha_left, alpha_right)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_steering_efficiency_and_eccentricity_are_the_printed_ones(name: str) -> None:
+    model, (chi, e) = in_our_frame(TABLES[name]), TABLES[name][5:]
+    assert_allclose(model.steering_efficiency(TRACK), chi, atol=1e-4)  # Eq. (9)
+    assert_allclose(model.eccentricity(), e, atol=1e-4)  # Eq. (10)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_matrix_is_that_of_the_paper(name: str) -> None:
+    y, right, left, alpha_r, alpha_l = TABLES[name][:5]
+    paper = np.array(  # Eq. (7): rows v_x (to the right), v_y (forward), omega
+        [[-y * alpha_l, y * alpha_r], [right * alpha_l, -left * alpha_r], [-alpha_l, alpha_r]]
+    ) / (right - left)
+    forward, leftward, turning = paper[1], -paper[0], paper[2]
+    assert_allclose(in_our_frame(TABLES[name]).matrix(), [forward, leftward, turning], rtol=1e-12)
+
+
+def test_factory_integers() -> None:
+    """Section IV.B: alpha = 1, r = 110 mm, x_ICR = 300 mm."""
+    assert ticksmm(1.0, 0.110) == 138
+    assert printed_ticksmm(1.0, 0.110) == 138  # Eq. (14)
+    assert revcount(0.300, 138) == 32515  # Eq. (15)
+    assert from_model(SymmetricIcr(0.3, 1.0)) == P3at(138, 32515)
+
+
+def test_integers_of_another_wheel_and_alpha_by_hand() -> None:
+    """15180 / (0.9 * 95) = 177.54; as printed 0.9 * 95 * 138 / 110 = 107.26; 2 pi 275 * 178 / 8 = 38445.2."""
+    assert ticksmm(0.9, 0.095) == 178
+    assert printed_ticksmm(0.9, 0.095) == 107
+    assert from_model(SymmetricIcr(0.275, 0.9), 0.095) == P3at(178, 38445)
+
+
+def test_a_robot_with_these_integers_knows_where_it_is() -> None:
+    """Ticks of a wheel: 138 a mm of nominal travel. True travel is alpha times that."""
+    model = SymmetricIcr(0.275, 0.91)
+    integers = from_model(model)
+    nominal, angle = 1000.0, 2.0 * np.pi  # [mm] rolled, [rad] turned
+    assert_allclose(138 * nominal / integers.ticksmm, model.alpha * nominal, rtol=0.005)
+    rolled = angle * model.icr_y / model.alpha  # [m] by each side, from Eq. (8)
+    assert_allclose(138 * 1e3 * rolled / 8.0, integers.revcount, rtol=0.005)
+
+
+@given(st.floats(0.1, 1.0), st.floats(0.5, 1.5), st.floats(0.05, 0.2))
+def test_model_and_integers_are_inverse_but_for_rounding(icr_y: float, alpha: float, radius: float) -> None:
+    model = to_model(from_model(SymmetricIcr(icr_y, alpha), radius), radius)
+    ticks = from_model(SymmetricIcr(icr_y, alpha), radius).ticksmm
+    assert_allclose(model.alpha, alpha, rtol=0.5001 / (ticks - 0.5))
+    assert_allclose(model.icr_y, icr_y, rtol=1e-3)
+    assert from_model(model, radius) == from_model(SymmetricIcr(icr_y, alpha), radius)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ticksmm(0.0), "alpha > 0, got 0.0"),
+        (lambda: ticksmm(1.0, -0.1), "wheel_radius > 0, got -0.1"),
+        (lambda: printed_ticksmm(float("nan")), "alpha > 0, got nan"),
+        (lambda: revcount(-0.3, 138), "icr_y > 0, got -0.3"),
+        (lambda: P3at(0, 32515), "at least 1, got 0, 32515"),
+        (lambda: to_model(P3at(138, 32515), 0.0), "wheel_radius > 0"),
+    ],
+)
+def test_impossible_numbers_are_refused(call: object, message: str) -> None:
+    assert callable(call)
+    with pytest.raises(ValueError, match=message):
+        call()
