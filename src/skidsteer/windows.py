@@ -129,9 +129,9 @@ def _thinned(t: FloatArray, index: np.ndarray, spacing: float) -> np.ndarray:
     """Every index whose time is at least ``spacing`` after the last one kept; the very last is kept where it fits."""
     if spacing <= 0.0 or len(index) < 2:
         return index
-    kept = [int(index[0])]
+    kept, clock = [int(index[0])], t[index]
     while True:
-        following = int(np.searchsorted(t[index], t[kept[-1]] + spacing - 1e-9))
+        following = int(np.searchsorted(clock, t[kept[-1]] + spacing - 1e-9))
         if following >= len(index):
             break
         kept.append(int(index[following]))
