@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from scipy.optimize import minimize_scalar
-
 from skidsteer.calibration import Calibration, HeldOut
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError
-from skidsteer.identify.least_squares import find_offset
+from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.metrics import WindowErrors, window_errors
-from skidsteer.se2 import wrap
-from skidsteer.windows import Timing, increment_windows, judging_windows, predict
+from skidsteer.windows import increment_windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +42,7 @@ def evaluate(
     for drive in drives:
         timing = calibration.timing
         if fit_delay and drive.pose is not None:
-            timing = replace(timing, time_offset=fit_offset(calibration, drive, length))
+            timing = replace(timing, time_offset=fit_offset(calibration, drive))
         errors = window_errors(calibration.model, drive, timing, length)
         if not len(errors.translation) and not len(errors.yaw_gyro):
             raise DataError(
@@ -58,19 +54,7 @@ def evaluate(
     return Evaluation(HeldOut.of(WindowErrors.join(parts)), figures, offsets)
 
 
-def fit_offset(calibration: Calibration, drive: Drive, length: float = 2.0) -> float:
-    """Time offset [s] of a drive that brings prediction and reference closest: a search, then a robust refinement."""
-    model, lag = calibration.model, calibration.timing.lag
-    increments, judged = increment_windows(drive), judging_windows(drive, length)
-    rough = find_offset(model, drive, increments, (-1.0, 1.5), lag=lag)
-    if not len(judged):
-        return rough
-    unit = np.array([0.1, 0.1, np.radians(5.0)])
-
-    def cost(offset: float) -> float:
-        error = judged.motion - predict(model, drive.wheels, judged, Timing(offset, lag))
-        error[:, 2] = wrap(error[:, 2])
-        return float(np.mean(np.log1p(((error / unit) ** 2).sum(axis=1))))
-
-    found = minimize_scalar(cost, bounds=(rough - 0.3, rough + 0.3), method="bounded", options={"xatol": 1e-3})
-    return float(found.x)
+def fit_offset(calibration: Calibration, drive: Drive) -> float:
+    """Time offset [s] of a drive with reference poses, by maximum likelihood with model and lag as they are."""
+    options = FitOptions(lag=calibration.timing.lag, fix_model=True)
+    return fit(calibration.model, [drive], [increment_windows(drive)], options).timings[0].time_offset

@@ -102,7 +102,7 @@ def deviance(parts: list[Residuals], noise: Noise, weights: list[Weights]) -> fl
     return total
 
 
-def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most: int = 4000) -> Noise:
+def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most: int = 2500) -> Noise:
     """Maximum-likelihood noise for given residuals, on at most ``most`` windows from the middle of each drive."""
     some, light = zip(*(_middle(p, w, most) for p, w in zip(parts, weights, strict=True)), strict=True)
     low, high = (np.log(astuple(b)) for b in BOUNDS)
@@ -111,7 +111,7 @@ def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most
         return deviance(list(some), Noise(*np.exp(x).tolist()), list(light))
 
     x0 = np.clip(np.log(astuple(start)), low, high)
-    found = minimize(cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4})
+    found = minimize(cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4, "ftol": 1e-6})
     return Noise(*np.exp(found.x if found.fun < cost(x0) else x0).tolist())
 
 

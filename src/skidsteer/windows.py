@@ -66,8 +66,10 @@ def pieces(drive: Drive) -> FloatArray:
     covered = np.stack([np.r_[t[0], t[gaps + 1]], np.r_[t[gaps], t[-1]]], axis=1)
     if drive.segments is None:
         return covered
-    cut = [(max(a, s), min(b, e)) for s, e in drive.segments for a, b in covered if max(a, s) < min(b, e)]
-    return np.array(cut).reshape(-1, 2)
+    low = np.searchsorted(covered[:, 1], drive.segments[:, 0], side="right")
+    high = np.searchsorted(covered[:, 0], drive.segments[:, 1], side="left")
+    cut = [np.clip(covered[a:b], *segment) for a, b, segment in zip(low, high, drive.segments, strict=True)]
+    return np.concatenate([np.zeros((0, 2)), *cut])
 
 
 def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) -> Windows:

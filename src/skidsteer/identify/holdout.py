@@ -13,7 +13,8 @@ from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Windows, increment_windows, judging_windows, pieces
 
-BLOCKS = 10  # of a drive; even ones are fitted while odd ones are judged, and the other way round
+MOST_BLOCKS, LEAST_BLOCKS = 20, 4  # of a drive; even ones are fitted while odd ones are judged, and the other way round
+BLOCK = 12.0  # [s] of a block, where that gives a number between the two
 SHORTEST_BLOCK = 4.0  # [s]
 
 
@@ -26,15 +27,15 @@ class HeldOutErrors:
 
 
 def block_edges(drive: Drive) -> FloatArray:
-    """Times (b + 1,) [s] that cut a drive into at most ``BLOCKS`` blocks; segments are kept whole.
+    """Times (b + 1,) [s] that cut a drive into blocks; segments are kept whole.
 
     Blocks hold equal shares of the time in which wheels and reference are both there.
     """
     stretches = pieces(drive)
     total = float(np.diff(stretches, axis=1).sum())
-    count = int(min(BLOCKS, total // SHORTEST_BLOCK))
+    count = int(min(max(total // BLOCK, LEAST_BLOCKS), MOST_BLOCKS, total // SHORTEST_BLOCK))
     if drive.segments is not None:
-        count = min(BLOCKS, len(stretches))
+        count = min(MOST_BLOCKS, len(stretches))
         first = stretches[np.linspace(0, len(stretches), count + 1).astype(int)[1:-1], 0]
     else:
         lasted = np.concatenate([[0.0], np.cumsum(np.diff(stretches, axis=1))])

@@ -32,6 +32,7 @@ class FitOptions:
 
     time_offset: float | None = None  # [s] fixed to this; None: estimated, one for each drive
     lag: float | None = None  # [s] fixed to this; None: estimated
+    fix_model: bool = False  # keep the model's parameters, estimate only the timing
     noise: Noise | None = None  # fixed to this; None: estimated
     robust: bool = True  # weigh down outliers
     search: tuple[float, float] = (-1.0, 1.5)  # [s] where the time offset is looked for
@@ -118,7 +119,7 @@ def _start(
     x = np.concatenate([model.theta, [0.05 if options.lag is None else options.lag], offsets])
     bounds = type(model).bounds(drives[0].vehicle)
     prior = np.concatenate([(bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0), [0.5], np.full(n, 1.0)])
-    free = np.concatenate([np.full(p, True), [options.lag is None], np.full(n, options.time_offset is None)])
+    free = np.concatenate([np.full(p, not options.fix_model), [options.lag is None], np.full(n, options.time_offset is None)])
     limits = np.concatenate([bounds, [[0.0, 2.0]], np.tile([-5.0, 5.0], (n, 1))])
     return _State(model, x, n), prior, free, limits
 

@@ -38,8 +38,8 @@ class Comparison:
         return min(self.translation.p_worse, self.yaw.p_worse) < LEVEL
 
     def __str__(self) -> str:
-        t, y = self.translation, self.yaw
-        return f"translation {100 * t.share:+.0f} % (p = {t.p_worse:.2g}), yaw {100 * y.share:+.0f} % (p = {y.p_worse:.2g})"
+        pairs = (("translation", self.translation), ("yaw", self.yaw))
+        return ", ".join(f"{name} {100 * e.share:+.0f} % (p = {e.p_worse:.2g})" for name, e in pairs)
 
 
 @dataclass(frozen=True, slots=True)
