@@ -1,0 +1,231 @@
+import functools
+from dataclasses import astuple, fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from skidsteer.drive import Drive, Series
+from skidsteer.models import Differential, Icr
+from skidsteer.noise import BOUNDS, Noise, Residuals, Weights, deviance, fit_noise, residuals, reweigh
+from skidsteer.se2 import FloatArray, compose
+from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
+from skidsteer.vehicle import preset
+from skidsteer.windows import Timing, Windows, increment_windows, predict, steps
+
+P3AT = preset("pioneer-p3at")
+TRUTH = Icr(0.2553, -0.3071, -0.0120, 0.9271, 0.9049)
+LAG = Timing(0.0, 0.08)
+TRUE_NOISE = Noise(position=0.01, yaw=0.009, stamp=0.02, walk=0.02, turn=0.03)
+
+
+def simulated(noise: Noise, seed: int) -> Drive:
+    """Four minutes of straights, turns and stops, at 5 Hz."""
+    rows = [[2.0, 0.0, 0.0], [8.0, 0.5, 0.0], [6.0, 0.0, 0.8], [8.0, 0.5, 0.3], [8.0, 0.6, -0.3], [6.0, -0.4, 0.0]]
+    rims = rims_from_manoeuvres(np.array([*rows, [6.0, 0.0, -0.8], *rows[::-1]] * 3), Differential(P3AT.track_width))
+    sensors = Sensors(5.0, noise.position, noise.yaw, noise.stamp)
+    return kinematic_drive("d", P3AT, TRUTH, rims, sensors, LAG.lag, (noise.walk, noise.turn), seed)
+
+
+def residuals_of(drive: Drive) -> Residuals:
+    windows = increment_windows(drive)
+    cut = steps(drive.wheels, windows, LAG)
+    return residuals(TRUTH, windows, cut, predict(TRUTH, drive.wheels, windows, LAG))
+
+
+@functools.cache
+def true_residuals(seed: int) -> Residuals:
+    return residuals_of(simulated(TRUE_NOISE, seed))
+
+
+def ones(part: Residuals) -> Weights:
+    return Weights.ones(len(part.residual))
+
+
+# Noise and covariances
+
+
+@pytest.mark.parametrize("name", [f.name for f in fields(Noise)])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_noise_must_be_positive(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^noise {name} must be positive, got {value}$"):
+        Noise(**{name: value})
+
+
+def some_residuals(joined: bool = False) -> Residuals:
+    """Two windows, the first a left turn forwards, the second backwards."""
+    motion = np.array([[0.4, 0.1, 0.5], [-0.3, 0.05, -0.2]])
+    windows = Windows(np.array([0.0, 1.0]), np.array([1.0, 2.0]), motion, np.array([False, joined]))
+    residual = np.array([[0.01, -0.02, 0.03], [0.02, 0.01, -0.01]])
+    start = np.array([[0.4, 0.1, 0.5], [0.0, 0.0, 0.0]])
+    end = np.array([[0.5, -0.2, 0.6], [-0.3, 0.1, -0.2]])
+    return Residuals(windows, residual, np.array([0.5, 0.25]), start, end)
+
+
+WEIGHTS = Weights(np.array([1.0, 0.5]), np.array([0.25, 1.0]), np.array([0.5, 1.0]))
+
+
+def test_covariances_by_hand() -> None:
+    noise = Noise(position=0.01, yaw=0.02, stamp=0.1, walk=0.04, turn=0.08)
+    process, start, end = some_residuals().covariances(noise, WEIGHTS)
+    # motion: variance a metre times 0.5 m, doubled by its weight of a half; 0.25 m
+    assert_allclose(process, [[16e-4, 16e-4, 64e-4], [4e-4, 4e-4, 16e-4]])
+    # stamps of 0.1 s at (0.4, 0.1, 0.5): outer product of (0.04, 0.01, 0.05)
+    moved = np.array([[16e-4, 4e-4, 20e-4], [4e-4, 1e-4, 5e-4], [20e-4, 5e-4, 25e-4]])
+    fixed = np.diag([1e-4, 1e-4, 4e-4])
+    assert_allclose(start, [fixed + moved, 2.0 * fixed], atol=1e-16)
+    moved = np.array([[25e-4, -10e-4, 30e-4], [-10e-4, 4e-4, -12e-4], [30e-4, -12e-4, 36e-4]])
+    assert_allclose(end[0], 4.0 * (fixed + moved), atol=1e-16)
+    moved = np.array([[9e-4, -3e-4, 6e-4], [-3e-4, 1e-4, -2e-4], [6e-4, -2e-4, 4e-4]])
+    assert_allclose(end[1], fixed + moved, atol=1e-16)
+
+
+def test_residuals_by_hand() -> None:
+    wheels = Series(np.arange(4.0), np.array([[0.2, 0.4], [-0.2, 0.6], [0.5, 0.5], [0.0, 0.0]]))
+    motion = np.array([[1.0, 2.0, 3.1], [0.5, 0.0, 0.0]])
+    windows = Windows(np.array([0.5, 1.5]), np.array([1.5, 3.0]), motion, np.array([False, True]))
+    model = Icr(0.5, -0.5, 0.1, 1.0, 1.0)
+    part = residuals(model, windows, steps(wheels, windows, Timing()), np.array([[0.9, 2.2, -3.1], [0.4, 0.1, 0.2]]))
+    assert_allclose(part.residual, [[0.1, -0.2, 6.2 - 2 * np.pi], [0.1, -0.1, -0.2]], atol=1e-15)
+    # mean of the rims, whichever way they turn: 0.5 s at 0.3 and 0.5 s at 0.4; 0.5 s at 0.4 and 1 s at 0.5
+    assert_allclose(part.rolled, [0.35, 0.7], atol=1e-15)
+    assert_allclose(part.start_twist, [[0.3, -0.02, 0.2], [0.2, -0.08, 0.8]], atol=1e-15)
+    assert_allclose(part.end_twist, [[0.2, -0.08, 0.8], [0.0, 0.0, 0.0]], atol=1e-15)
+    assert_array_equal(part.windows.motion, motion)
+
+
+def test_deviance_is_the_normal_density() -> None:
+    part, noise = some_residuals(), Noise(0.01, 0.02, 0.03, 0.04, 0.08)
+    process, start, end = part.covariances(noise, WEIGHTS)
+    expected = 0.0
+    for i, (x, y, yaw) in enumerate(part.windows.motion):
+        E = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        G = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        C = E @ (np.diag(process[i]) + end[i]) @ E.T + G @ start[i] @ G.T
+        expected += np.linalg.slogdet(C)[1] + part.residual[i] @ np.linalg.solve(C, part.residual[i])
+    assert deviance([part], noise, [WEIGHTS]) == pytest.approx(expected, rel=1e-12)
+    assert deviance([part, part], noise, [WEIGHTS] * 2) == pytest.approx(2 * expected, rel=1e-12)
+    assert deviance([some_residuals(joined=True)], noise, [WEIGHTS]) != pytest.approx(expected, rel=1e-3)
+
+
+# Maximum likelihood
+
+
+def test_residuals_of_the_truth_are_as_large_as_the_noise_says() -> None:
+    """Chi-square: the deviance at the true noise, less that of zero residuals, is 3 a window on average."""
+    part = true_residuals(0)
+    quiet = replace(part, residual=np.zeros_like(part.residual))
+    excess = [deviance([p], TRUE_NOISE, [ones(p)]) for p in (part, quiet)]
+    count = 3 * len(part.residual)
+    assert (excess[0] - excess[1]) / count == pytest.approx(1.0, abs=4 * np.sqrt(2 / count))
+
+
+def test_fit_noise_recovers_what_was_simulated() -> None:
+    """To their standard errors: 1.5 % of the position, 3 to 6 % of the others, for one drive."""
+    seeds = range(5)
+    found = np.array([astuple(fit_noise([p], Noise(), [ones(p)])) for p in map(true_residuals, seeds)])
+    ratio = found / astuple(TRUE_NOISE)
+    assert_allclose(ratio, 1.0, atol=0.2)
+    assert_allclose(ratio[:, 0], 1.0, atol=0.06)
+    assert_allclose(ratio.mean(axis=0), 1.0, atol=0.06)
+
+
+def test_fit_noise_finds_the_least_deviance() -> None:
+    part = true_residuals(1)
+    found = fit_noise([part], Noise(), [ones(part)])
+    least = deviance([part], found, [ones(part)])
+    for name in (f.name for f in fields(Noise)):
+        for factor in (0.93, 1.07):
+            other = replace(found, **{name: factor * getattr(found, name)})
+            assert deviance([part], other, [ones(part)]) > least
+
+
+def test_fit_noise_joins_drives() -> None:
+    parts = [true_residuals(seed) for seed in (2, 3, 4)]
+    found = fit_noise(parts, Noise(), [ones(p) for p in parts])
+    assert_allclose(np.array(astuple(found)) / astuple(TRUE_NOISE), 1.0, atol=0.1)
+
+
+def test_fit_noise_of_a_perfect_drive_stays_at_its_bounds() -> None:
+    part = replace(true_residuals(0), residual=np.zeros_like(true_residuals(0).residual))
+    assert_allclose(astuple(fit_noise([part], Noise(), [ones(part)])), astuple(BOUNDS[0]), rtol=1e-6)
+
+
+def test_fit_noise_ignores_what_is_weighed_down() -> None:
+    part = true_residuals(0)
+    wrong = part.residual.copy()
+    wrong[100:104] += [0.5, -0.4, 0.3]
+    weights = ones(part)
+    weights.motion[100:104] = 1e-6
+    spoiled = fit_noise([replace(part, residual=wrong)], Noise(), [ones(part)])
+    assert spoiled.walk > 2.0 * TRUE_NOISE.walk
+    healed = fit_noise([replace(part, residual=wrong)], Noise(), [weights])
+    assert_allclose(np.array(astuple(healed)) / astuple(TRUE_NOISE), 1.0, atol=0.2)
+
+
+def test_fit_noise_takes_the_middle_of_a_long_drive() -> None:
+    part = true_residuals(0)
+    count = len(part.residual)
+    wrong = part.residual.copy()
+    wrong[: count // 2 - 300] = wrong[count // 2 + 300 :] = 0.7
+    found = fit_noise([replace(part, residual=wrong)], Noise(), [ones(part)], most=500)
+    assert_allclose(np.array(astuple(found)) / astuple(TRUE_NOISE), 1.0, atol=0.35)
+
+
+# Outliers
+
+
+def spoiled(change: FloatArray, first: int, last: int, globally: bool = False) -> Residuals:
+    """Residuals of a drive whose reference poses first..last - 1 are wrong by a motion."""
+    drive = simulated(TRUE_NOISE, 7)
+    assert drive.pose is not None
+    values = drive.pose.values.copy()
+    values[first:last] = compose(change, values[first:last]) if globally else compose(values[first:last], change)
+    return residuals_of(replace(drive, pose=Series(drive.pose.t, values)))
+
+
+@pytest.mark.parametrize("change", [[0.4, 0.0, 0.0], [0.0, -0.4, 0.0], [0.0, 0.0, 0.4], [0.3, 0.3, -0.3]])
+def test_a_single_wrong_pose_is_an_outlier_of_the_pose(change: list[float]) -> None:
+    weights = reweigh([spoiled(np.array(change), 300, 301)], TRUE_NOISE)[0]
+    assert weights.end[299] < 0.05  # window 299 ends with pose 300
+    # its neighbours share the blame a little; nothing else does, and nothing as much
+    far = np.abs(np.arange(len(weights.end)) - 299) > 4
+    assert (weights.end[far] > 0.5).all()
+    assert (weights.motion[far] > 0.5).all()
+    assert np.delete(weights.end, 299).min() > 3.0 * weights.end[299]
+    assert weights.motion.min() > 3.0 * weights.end[299]
+    assert (weights.start == 1.0).all()
+
+
+@pytest.mark.parametrize("change", [[0.8, 0.0, 0.0], [0.0, -0.8, 0.0], [0.3, 0.3, 0.5]])
+def test_a_jump_of_the_reference_is_an_outlier_of_the_motion(change: list[float]) -> None:
+    weights = reweigh([spoiled(np.array(change), 301, 10**6, globally=True)], TRUE_NOISE)[0]
+    assert weights.motion[300] < 0.1  # window 300 leads from pose 300 to pose 301
+    assert np.argmin(weights.motion) == 300
+    assert weights.end.min() > weights.motion[300]
+    far = np.abs(np.arange(len(weights.motion)) - 300) > 20
+    assert (weights.motion[far] > 0.5).all()
+    assert (weights.end[far] > 0.5).all()
+
+
+def test_a_wrong_first_pose_is_found() -> None:
+    weights = reweigh([spoiled(np.array([0.4, 0.0, 0.0]), 0, 1)], TRUE_NOISE)[0]
+    assert weights.start[0] < 0.05
+    assert (weights.start[1:] == 1.0).all()
+    assert (weights.end > 0.5).all()
+
+
+def test_noise_alone_is_hardly_ever_an_outlier() -> None:
+    """By chance one pose in a thousand; none by much."""
+    parts = [true_residuals(seed) for seed in range(5)]
+    for part, weights in zip(parts, reweigh(parts, TRUE_NOISE), strict=True):
+        assert len(weights.end) == len(part.residual)
+        for share in (weights.start, weights.end, weights.motion):
+            assert ((share > 0.0) & (share <= 1.0)).all()
+            assert (share < 1.0).mean() < 0.004
+            assert (share > 0.5).all()
+
+
+def test_weights_fall_with_the_squared_distance() -> None:
+    shares = [reweigh([spoiled(np.array([d, 0.0, 0.0]), 300, 301)], TRUE_NOISE)[0].end[299] for d in (0.4, 0.8)]
+    assert shares[0] / shares[1] == pytest.approx(4.0, rel=0.2)
