@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skidsteer.io.raw import ByteArray, Definitions, IntArray, RawMessages
+from skidsteer.io.raw import ByteArray, Definitions, IntArray, RawMessages, rows_of_bytes
 from skidsteer.se2 import FloatArray
 
 # Kinds of a field's description in rosbags' type system.
@@ -145,7 +145,7 @@ class _Walk:
 
     def layout(self, type_name: str) -> Layout:
         self._struct("", type_name, 0)
-        return Layout(self.fields, self.texts, tuple(self.fixed))
+        return Layout(self.fields, self.texts, tuple(_joined(self.fixed)))
 
     def _encapsulation(self) -> None:
         if self.message[:2] not in (b"\0\0", b"\0\1"):
@@ -215,6 +215,17 @@ class _Walk:
         return raw.rstrip(b"\0").decode(errors="replace")
 
 
+def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Ranges in ascending order, with those that touch as one."""
+    joined: list[tuple[int, int]] = []
+    for start, end in ranges:
+        if joined and joined[-1][1] == start:
+            joined[-1] = (joined[-1][0], end)
+        else:
+            joined.append((start, end))
+    return joined
+
+
 class Decoder:
     """Decodes the messages of one topic; remembers the layouts it has met. ``undecoded`` counts those that fit none."""
 
@@ -230,7 +241,7 @@ class Decoder:
         """The messages in blocks of one layout each; those that do not fit their definition are left out."""
         for size in np.unique(raw.size):
             rows = np.flatnonzero(raw.size == size)
-            matrix = _rows_of_bytes(raw.buffer, raw.start[rows], int(size))
+            matrix = rows_of_bytes(raw.buffer, raw.start[rows], int(size))
             yield from self._of_one_size(rows, matrix)
 
     def _of_one_size(self, rows: IntArray, matrix: ByteArray) -> Iterator[Block]:
@@ -265,13 +276,6 @@ class Decoder:
             return False
         known.append((layout, message.copy()))
         return True
-
-
-def _rows_of_bytes(buffer: ByteArray, start: IntArray, size: int) -> ByteArray:
-    """Messages of one size as a matrix (n, size); a copy."""
-    if size == 0:
-        return np.zeros((len(start), 0), dtype=np.uint8)
-    return np.lib.stride_tricks.sliding_window_view(buffer, size)[start]
 
 
 def _agrees(layout: Layout, example: ByteArray, matrix: ByteArray) -> NDArray[np.bool_]:

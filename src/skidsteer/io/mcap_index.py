@@ -1,15 +1,24 @@
-"""What an MCAP file holds and where: from the index at its end, or by searching a file that has none."""
+"""MCAP files: what one holds and where, from the index at its end or by searching a file that has none."""
 
 from __future__ import annotations
 
-from array import array
-from collections import Counter
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from skidsteer.errors import DataError
+from skidsteer.io.chunked import (
+    BagIndex,
+    ByteFile,
+    Channel,
+    Chunk,
+    ChunkHead,
+    DamagedError,
+    Format,
+    chunk_records,
+    count_messages,
+    ros2_type,
+    with_channel,
+)
 from skidsteer.io.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -18,16 +27,13 @@ from skidsteer.io.mcap_records import (
     FOOTER,
     FOOTER_BYTES,
     MAGIC,
-    MAX_CHUNK,
     MESSAGE,
     MESSAGE_INDEX,
     RECORD_HEAD,
     SCHEMA,
     STATISTICS,
-    Channel,
-    ChunkHead,
+    ChannelRecord,
     Content,
-    DamagedError,
     Schema,
     message_starts,
     parse_channel,
@@ -38,34 +44,20 @@ from skidsteer.io.mcap_records import (
     parse_schema,
     unpack_chunk,
 )
+from skidsteer.io.raw import Definition
 
 _MAX_DEFINITION = 16 << 20
 _MAX_SUMMARY = 256 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """Where a chunk lies. ``channels`` are those that have messages in it, None where only opening it would tell."""
-
-    start: int  # of its content
-    size: int
-    index_start: int
-    index_size: int
-    channels: frozenset[int] | None
-    cut: bool = False  # the file ends inside it
+_KINDS = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
 
 @dataclass(slots=True)
-class McapIndex:
-    """What an MCAP file holds and where."""
+class _Found:
+    """An index in the making: channels name their schemas by number until all are known."""
 
+    index: BagIndex = field(default_factory=BagIndex)
     schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[Chunk] = field(default_factory=list)
-    loose: dict[int, array[int]] = field(default_factory=dict)  # channel -> start, end of records outside of chunks
-    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
-    finished: bool = True
-    notes: list[str] = field(default_factory=list)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
 
     def define(self, op: int, data: bytes) -> None:
         """Take in a schema or channel record; others are ignored."""
@@ -76,74 +68,44 @@ class McapIndex:
             number, channel = parse_channel(data)
             self.channels.setdefault(number, channel)
 
-
-class McapFile:
-    """The bytes of an open MCAP file; never reads more than the file has."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.size = path.stat().st_size
-        self._file = path.open("rb")
-        if self.read(0, len(MAGIC)) != MAGIC:
-            self.close()
-            raise DataError(f"{path}: is not an MCAP file (it does not begin like one)")
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def read(self, start: int, size: int) -> bytes:
-        """The bytes of a range, fewer where the file ends inside it."""
-        if start >= self.size:
-            return b""
-        self._file.seek(start)
-        return self._file.read(min(size, self.size - start))
-
-    def record(self, position: int) -> tuple[int, int]:
-        """Opcode and size of the content of the record at ``position``."""
-        data = self.read(position, RECORD_HEAD.size)
-        if len(data) < RECORD_HEAD.size:
-            raise DamagedError("a record lies outside the file")
-        op, size = RECORD_HEAD.unpack(data)
-        return int(op), int(size)
-
-    def chunk_head(self, chunk: Chunk) -> ChunkHead:
-        """What precedes the records of a chunk."""
-        head = parse_chunk_head(self.read(chunk.start, min(64, chunk.size)))
-        if head.head + head.packed > chunk.size and not chunk.cut:
-            raise DamagedError("the records of a chunk end outside it")
-        return head
-
-    def chunk_records(self, chunk: Chunk) -> bytes:
-        """The records of a chunk, unpacked.
-
-        Raises:
-            DamagedError: they cannot be had.
-        """
-        head = self.chunk_head(chunk)
-        if head.packed > MAX_CHUNK:
-            raise DamagedError(f"a chunk claims {head.packed} bytes; more than {MAX_CHUNK} are not read")
-        return unpack_chunk(head, self.read(chunk.start + head.head, head.packed), chunk.cut)
+    def complete(self) -> BagIndex:
+        for key, channel in self.channels.items():
+            schema = self.schemas.get(channel.schema, Schema("", "", ""))
+            kind = _KINDS.get(schema.encoding)
+            definition = Definition(kind, schema.text) if kind and schema.text else None
+            self.index.channels[key] = Channel(channel.topic, ros2_type(schema.name), channel.encoding, definition)
+        return self.index
 
 
-def index_file(file: McapFile) -> McapIndex:
+def index_mcap(file: ByteFile) -> BagIndex:
     """Find out what a file holds: by its own index where that is complete and sound, else by going through it."""
     notes = []
     try:
-        index = _from_summary(file)
+        found = _from_summary(file)
     except DamagedError as error:
-        index, notes = None, [f"{file.path.name}: its index is damaged ({error}); the file was searched instead"]
-    if index is None:
-        index = _from_scan(file)
-        _look_into_chunks(file, index)
-    index.notes[:0] = notes
-    return index
+        found, notes = None, [f"{file.path.name}: its index is damaged ({error}); the file was searched instead"]
+    if found is None:
+        found = _from_scan(file)
+        _look_into_chunks(file, found)
+    found.index.notes[:0] = notes
+    return found.complete()
+
+
+def _chunk_head(file: ByteFile, chunk: Chunk) -> ChunkHead:
+    content = chunk.start + RECORD_HEAD.size
+    head = parse_chunk_head(content, file.read(content, min(64, chunk.size - RECORD_HEAD.size)))
+    if head.start + head.packed > chunk.start + chunk.size and not chunk.cut:
+        raise DamagedError("the records of a chunk end outside it")
+    return head
+
+
+MCAP = Format("MCAP", index_mcap, _chunk_head, unpack_chunk, parse_message_indexes, message_starts, parse_messages)
 
 
 # --- from the index at the end of the file
 
 
-def _from_summary(file: McapFile) -> McapIndex | None:
+def _from_summary(file: ByteFile) -> _Found | None:
     tail = file.read(max(file.size - FOOTER_BYTES, 0), FOOTER_BYTES)
     if not (tail.startswith(RECORD_HEAD.pack(FOOTER, 20)) and tail.endswith(MAGIC)):
         return None
@@ -152,48 +114,48 @@ def _from_summary(file: McapFile) -> McapIndex | None:
         return None
     if not len(MAGIC) <= start <= end or end - start > _MAX_SUMMARY:
         raise DamagedError("it lies outside the file")
-    return _complete(file, _parse_summary(file, file.read(start, end - start)))
+    found, expected = _parse_summary(file, file.read(start, end - start))
+    return found if _is_complete(file, found, expected) else None
 
 
-def _parse_summary(file: McapFile, summary: bytes) -> tuple[McapIndex, int | None]:
+def _parse_summary(file: ByteFile, summary: bytes) -> tuple[_Found, int | None]:
     """The index, and the number of chunks it should have where that is stated."""
-    index, expected = McapIndex(), None
+    found, expected = _Found(), None
     for op, start, end in parse_records(summary):
         content = summary[start:end]
         if op == CHUNK_INDEX:
-            index.chunks.append(_indexed_chunk(file, content))
+            found.index.chunks.append(_indexed_chunk(file, content))
         elif op == STATISTICS:
             expected, counts = _parse_statistics(content)
-            index.counts.update(counts)
+            found.index.counts.update(counts)
         else:
-            index.define(op, content)
-    return index, expected
+            found.define(op, content)
+    return found, expected
 
 
-def _complete(file: McapFile, found: tuple[McapIndex, int | None]) -> McapIndex | None:
-    """The index if nothing is missing from it; counts are added where there were no statistics."""
-    index, expected = found
-    if not index.chunks or not index.channels or expected not in (None, len(index.chunks)):
-        return None
+def _is_complete(file: ByteFile, found: _Found, expected: int | None) -> bool:
+    """False where something is missing from an index; counts are added where there were no statistics."""
+    chunks = found.index.chunks
+    if not chunks or not found.channels or expected not in (None, len(chunks)):
+        return False
     if expected is None:
-        for chunk in index.chunks:
-            if chunk.channels is None:
-                return None
-            starts = parse_message_indexes(file.read(chunk.index_start, chunk.index_size))
-            index.counts.update({key: len(offsets) for key, offsets in starts.items()})
-    return index
+        if any(chunk.channels is None for chunk in chunks):
+            return False
+        for chunk in chunks:
+            found.index.counts.update(count_messages(file, MCAP, chunk))
+    return True
 
 
-def _indexed_chunk(file: McapFile, data: bytes) -> Chunk:
+def _indexed_chunk(file: ByteFile, data: bytes) -> Chunk:
     content = Content(data)
     content.take(16)
     start, size = content.number(8), content.number(8)
     offsets, index_size = content.block(), content.number(8)
-    if size < RECORD_HEAD.size or start + size + index_size > file.size or file.record(start)[0] != CHUNK:
+    if size < RECORD_HEAD.size or start + size + index_size > file.size or _record(file, start)[0] != CHUNK:
         raise DamagedError("it points to no chunk")
     pairs = np.frombuffer(offsets, dtype=np.dtype("<u2, <u8"), count=len(offsets) // 10)
     channels = frozenset(pairs["f0"].tolist()) if index_size else None
-    return Chunk(start + RECORD_HEAD.size, size - RECORD_HEAD.size, start + size, index_size, channels)
+    return Chunk(start, size, start + size, index_size, channels)
 
 
 def _parse_statistics(data: bytes) -> tuple[int, dict[int, int]]:
@@ -209,67 +171,62 @@ def _parse_statistics(data: bytes) -> tuple[int, dict[int, int]]:
 # --- by going through the file
 
 
-def _from_scan(file: McapFile) -> McapIndex:
+def _record(file: ByteFile, position: int) -> tuple[int, int]:
+    """Opcode and size of the content of the record at ``position``."""
+    data = file.read(position, RECORD_HEAD.size)
+    if len(data) < RECORD_HEAD.size:
+        raise DamagedError("a record lies outside the file")
+    op, size = RECORD_HEAD.unpack(data)
+    return int(op), int(size)
+
+
+def _from_scan(file: ByteFile) -> _Found:
     """Go from record to record, without opening chunks."""
-    index, position = McapIndex(), len(MAGIC)
+    found, position = _Found(), len(MAGIC)
+    index = found.index
     while position + RECORD_HEAD.size <= file.size:
-        op, size = file.record(position)
-        start = position + RECORD_HEAD.size
+        op, size = _record(file, position)
         if op in (DATA_END, FOOTER):
-            return index
-        if op == 0 or start + size > file.size:
+            return found
+        if op == 0 or position + RECORD_HEAD.size + size > file.size:
             break
-        _take_record(file, index, op, start, size)
-        position = start + size
-    if position + RECORD_HEAD.size < file.size and file.record(position)[0] == CHUNK:
-        start = position + RECORD_HEAD.size
-        index.chunks.append(Chunk(start, file.size - start, 0, 0, None, cut=True))
+        _take_record(file, found, op, position, RECORD_HEAD.size + size)
+        position += RECORD_HEAD.size + size
+    if position + RECORD_HEAD.size < file.size and _record(file, position)[0] == CHUNK:
+        index.chunks.append(Chunk(position, file.size - position, 0, 0, None, cut=True))
     index.finished = False
-    index.notes.append(
-        f"{file.path.name}: unfinished or cut short; whole records end at byte {position} of {file.size}"
-    )
-    return index
+    index.notes.append(f"{file.path.name}: unfinished or cut short, whole as far as byte {position} of {file.size}")
+    return found
 
 
-def _take_record(file: McapFile, index: McapIndex, op: int, start: int, size: int) -> None:
+def _take_record(file: ByteFile, found: _Found, op: int, start: int, size: int) -> None:
+    """Take in a record that starts at ``start`` and has ``size`` bytes."""
+    index, content = found.index, start + RECORD_HEAD.size
     if op == CHUNK:
         index.chunks.append(Chunk(start, size, start + size, 0, None))
-    elif op == MESSAGE_INDEX and index.chunks:
-        index.chunks[-1] = _with_index(file, index.chunks[-1], start, size)
-    elif op == MESSAGE and size >= 22:
-        channel = int.from_bytes(file.read(start, 2), "little")
-        index.loose.setdefault(channel, array("q")).extend((start - RECORD_HEAD.size, start + size))
-        index.counts[channel] += 1
+    elif op == MESSAGE_INDEX and index.chunks and start == index.chunks[-1].index_start + index.chunks[-1].index_size:
+        channel = int.from_bytes(file.read(content, 2), "little")
+        index.chunks[-1] = with_channel(index.chunks[-1], channel, size)
+    elif op == MESSAGE:
+        index.add_loose(int.from_bytes(file.read(content, 2), "little"), start, start + size)
     elif op in (SCHEMA, CHANNEL) and size <= _MAX_DEFINITION:
         try:
-            index.define(op, file.read(start, size))
+            found.define(op, file.read(content, size - RECORD_HEAD.size))
         except DamagedError as error:
             index.notes.append(f"{file.path.name}: a definition is damaged and was left out ({error})")
 
 
-def _with_index(file: McapFile, chunk: Chunk, start: int, size: int) -> Chunk:
-    """The chunk with one more message index record, which must follow the last one."""
-    if start - RECORD_HEAD.size != chunk.index_start + chunk.index_size or size < 6:
-        return chunk
-    channel = int.from_bytes(file.read(start, 2), "little")
-    known = (chunk.channels or frozenset()) | {channel}
-    return replace(chunk, index_size=chunk.index_size + RECORD_HEAD.size + size, channels=known)
-
-
-def _look_into_chunks(file: McapFile, index: McapIndex) -> None:
+def _look_into_chunks(file: ByteFile, found: _Found) -> None:
     """Open the chunks with channels that nothing outside of them describes, and count the messages of all."""
-    for chunk in index.chunks:
+    for chunk in found.index.chunks:
         try:
-            if chunk.channels is not None and chunk.channels <= index.channels.keys():
-                starts = parse_message_indexes(file.read(chunk.index_start, chunk.index_size))
-                index.counts.update({key: len(offsets) for key, offsets in starts.items()})
+            if chunk.channels is not None and chunk.channels <= found.channels.keys():
+                found.index.counts.update(count_messages(file, MCAP, chunk))
                 continue
-            data = file.chunk_records(chunk)
+            data = chunk_records(file, MCAP, chunk)
             for op, start, end in parse_records(data):
                 if op in (SCHEMA, CHANNEL):
-                    index.define(op, data[start:end])
-            messages = parse_messages(np.frombuffer(data, dtype=np.uint8), message_starts(data))
-            keys, numbers = np.unique(messages.channel, return_counts=True)
-            index.counts.update(dict(zip(keys.tolist(), numbers.tolist(), strict=True)))
+                    found.define(op, data[start:end])
+            found.index.counts.update(count_messages(file, MCAP, chunk, data))
         except DamagedError:
-            continue  # reported when its messages are read
+            continue  # told when its messages are read

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skidsteer.io.chunked import ChunkHead, DamagedError, MessageTable, unpack_lz4, unpacked
 from skidsteer.io.raw import ByteArray, IntArray
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -19,13 +20,6 @@ METADATA, STATISTICS, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0C, 0x0B, 0x0
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, size of the content
 MESSAGE_HEAD = RECORD_HEAD.size + 22  # channel, sequence, two times
 FOOTER_BYTES = RECORD_HEAD.size + 20 + len(MAGIC)
-
-# A chunk larger than this once unpacked is refused: recorders write chunks of one to a few megabytes.
-MAX_CHUNK = 256 << 20
-
-
-class DamagedError(ValueError):
-    """Bytes that are not what the format asks for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +32,8 @@ class Schema:
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """A topic and how its messages are encoded."""
+class ChannelRecord:
+    """A topic, the schema of its messages, and how they are encoded."""
 
     topic: str
     schema: int
@@ -80,11 +74,11 @@ def parse_schema(data: bytes) -> tuple[int, Schema]:
     return content.number(2), Schema(content.text(), content.text(), content.text())
 
 
-def parse_channel(data: bytes) -> tuple[int, Channel]:
+def parse_channel(data: bytes) -> tuple[int, ChannelRecord]:
     """Channel record: its id and what it says."""
     content = Content(data)
     key, schema = content.number(2), content.number(2)
-    return key, Channel(content.text(), schema, content.text())
+    return key, ChannelRecord(content.text(), schema, content.text())
 
 
 def parse_records(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -116,16 +110,6 @@ def message_starts(data: bytes) -> IntArray:
     return np.array(starts, dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageTable:
-    """Heads of message records: (n,) each."""
-
-    channel: IntArray
-    log_ns: IntArray
-    start: IntArray  # of the serialised message
-    size: IntArray
-
-
 def parse_messages(buffer: ByteArray, starts: IntArray) -> MessageTable:
     """Read the heads of the message records that start at ``starts`` (n,) in ``buffer``.
 
@@ -140,36 +124,22 @@ def parse_messages(buffer: ByteArray, starts: IntArray) -> MessageTable:
     heads = np.lib.stride_tricks.sliding_window_view(buffer, MESSAGE_HEAD)[starts]
     size = np.ascontiguousarray(heads[:, 1:9]).view("<u8")[:, 0]
     start = starts + MESSAGE_HEAD
-    if (
-        (heads[:, 0] != MESSAGE).any()
-        or (size < 22).any()
-        or (size - 22 > (buffer.size - start).astype(np.uint64)).any()
-    ):
+    room = (buffer.size - start + 22).astype(np.uint64)
+    if (heads[:, 0] != MESSAGE).any() or (size < 22).any() or (size > room).any():
         raise DamagedError("the index of a chunk points to no message")
     channel = np.ascontiguousarray(heads[:, 9:11]).view("<u2")[:, 0].astype(np.int64)
     log_ns = np.ascontiguousarray(heads[:, 15:23]).view("<i8")[:, 0].astype(np.int64)
     return MessageTable(channel, log_ns, start, size.astype(np.int64) - 22)
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkHead:
-    """What precedes the records of a chunk. ``head`` bytes of it, then ``packed`` bytes of records."""
-
-    head: int
-    packed: int
-    unpacked: int
-    crc: int
-    compression: str
-
-
-def parse_chunk_head(data: bytes) -> ChunkHead:
-    """The fixed part of a chunk record from its first bytes (64 are enough)."""
+def parse_chunk_head(start: int, data: bytes) -> ChunkHead:
+    """The head of a chunk whose content starts at byte ``start`` of the file, from its first bytes (64 are enough)."""
     content = Content(data)
     content.take(16)
-    unpacked, crc = content.number(8), content.number(4)
+    size, crc = content.number(8), content.number(4)
     compression = content.text()
     packed = content.number(8)
-    return ChunkHead(content.position, packed, unpacked, crc, compression)
+    return ChunkHead(start + content.position, packed, size, compression, crc)
 
 
 def unpack_chunk(head: ChunkHead, data: bytes, cut: bool = False) -> bytes:
@@ -181,35 +151,12 @@ def unpack_chunk(head: ChunkHead, data: bytes, cut: bool = False) -> bytes:
         cut: the file ends inside the chunk: return what can be had.
 
     Raises:
-        DamagedError: unknown compression, absurd size, data that cannot be unpacked or fail their checksum.
+        DamagedError: unknown compression, data that cannot be unpacked or fail their checksum.
     """
-    if head.unpacked > MAX_CHUNK:
-        raise DamagedError(f"a chunk claims {head.unpacked} bytes; more than {MAX_CHUNK} are not read")
-    raw = _decompress(data, head.compression, head.unpacked)
-    if cut:
-        return raw
-    if len(raw) != head.unpacked:
-        raise DamagedError(f"a chunk of {head.unpacked} bytes unpacks to {len(raw)}")
-    if head.crc and crc32(raw) != head.crc:
+    raw = unpacked(head, data, cut, {"lz4": unpack_lz4, "zstd": _unpack_zstd})
+    if head.crc and not cut and crc32(raw) != head.crc:
         raise DamagedError("a chunk fails its checksum")
     return raw
-
-
-def _decompress(data: bytes, compression: str, size: int) -> bytes:
-    if compression == "":
-        return data[:size]
-    if compression not in ("lz4", "zstd"):
-        raise DamagedError(f"compression {compression!r} is not one of lz4, zstd")
-    try:
-        return _unpack_lz4(data, size) if compression == "lz4" else _unpack_zstd(data, size)
-    except Exception as error:  # each library has its own errors
-        raise DamagedError(f"a chunk cannot be unpacked ({error})") from error
-
-
-def _unpack_lz4(data: bytes, size: int) -> bytes:
-    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
-    return bytes(LZ4FrameDecompressor().decompress(data, max_length=size))
 
 
 def _unpack_zstd(data: bytes, size: int) -> bytes:

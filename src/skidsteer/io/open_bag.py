@@ -11,9 +11,12 @@ from typing import Any
 import yaml
 
 from skidsteer.errors import DataError
-from skidsteer.io.mcap_source import McapSource
+from skidsteer.io.chunked import ChunkedSource
+from skidsteer.io.mcap_index import MCAP
 from skidsteer.io.raw import BagTopic, RawMessages, Source, shown
+from skidsteer.io.rosbag1_index import ROSBAG1
 from skidsteer.io.rosbags_source import RosbagsSource, refusing
+from skidsteer.io.sqlite_source import SqliteSource
 
 SUFFIXES = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "rosbag1"}
 _MAGIC = {".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0", ".bag": b"#ROSBAG V2.0\n"}
@@ -74,16 +77,14 @@ def _refuse_other_files(path: Path) -> None:
     raise DataError(f"{path}: is not a {kind} file but {what}")
 
 
+def _file(path: Path) -> Source:
+    if path.suffix == ".db3":
+        return SqliteSource(path)
+    return ChunkedSource(path, MCAP if path.suffix == ".mcap" else ROSBAG1)
+
+
 def _files(paths: Sequence[Path]) -> Source:
-    suffix = paths[0].suffix
-    if suffix == ".mcap":
-        return McapSource(paths[0]) if len(paths) == 1 else _Several(paths)
-    source = RosbagsSource(paths, SUFFIXES[suffix])
-    for path in paths:
-        log = path.with_name(path.name + "-wal")
-        if log.is_file() and log.stat().st_size:
-            source.notes.append(f"{path.name}: the recorder left {log.name} behind; what is in it was not read")
-    return source
+    return _file(paths[0]) if len(paths) == 1 else _Several(paths)
 
 
 def _folder(path: Path) -> Source:
@@ -93,7 +94,7 @@ def _folder(path: Path) -> Source:
     paths = _listed_files(path, information)
     mode = str(information.get("compression_mode") or "none").lower()
     if mode != "none":
-        return RosbagsSource([path], f"rosbag2, compressed by {shown(mode, 20)}")
+        return RosbagsSource(path, f"rosbag2, compressed by {shown(mode, 20)}")
     suffixes = {file.suffix for file in paths}
     if len(suffixes) != 1 or not suffixes <= {".mcap", ".db3"}:
         raise DataError(f"{path / _METADATA}: lists files of the kinds {shown(sorted(suffixes))}; need .mcap or .db3")
@@ -151,12 +152,12 @@ def _listed_files(folder: Path, information: dict[str, Any]) -> list[Path]:
 
 
 class _Several:
-    """The parts of a recording that was split into several MCAP files, as one source."""
+    """The parts of a recording that was split into several files, as one source."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self._sources: list[McapSource] = []
+        self._sources: list[Source] = []
         try:
-            self._sources.extend(McapSource(path) for path in paths)
+            self._sources.extend(_file(path) for path in paths)
         except BaseException:
             self.close()
             raise

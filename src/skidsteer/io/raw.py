@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -50,14 +50,29 @@ class RawMessages:
     def __len__(self) -> int:
         return len(self.start)
 
+    def where(self, keep: NDArray[np.bool_]) -> RawMessages:
+        """Those messages that a mask (n,) chooses, in the same buffer."""
+        return RawMessages(self.bag_ns[keep], self.buffer, self.start[keep], self.size[keep])
+
     def packed(self) -> RawMessages:
-        """The same messages in a buffer of their own, without what lay between them."""
+        """The same messages in a buffer of their own, without what lay between them, those of one size together."""
         used = int(self.size.sum())
         if used == self.buffer.size:
             return self
-        ends = np.cumsum(self.size)
-        source = np.repeat(self.start - (ends - self.size), self.size) + np.arange(used)
-        return replace(self, buffer=self.buffer[source], start=ends - self.size)
+        order = np.argsort(self.size, kind="stable")
+        sizes, first = np.unique(self.size[order], return_index=True)
+        groups = np.split(self.start[order], first[1:])
+        rows = [rows_of_bytes(self.buffer, group, size) for size, group in zip(sizes.tolist(), groups, strict=True)]
+        size = self.size[order]
+        packed = np.concatenate([row.ravel() for row in rows]) if rows else self.buffer[:0]
+        return RawMessages(self.bag_ns[order], packed, np.cumsum(size) - size, size)
+
+
+def rows_of_bytes(buffer: ByteArray, start: IntArray, size: int) -> ByteArray:
+    """Messages of one size as a matrix (n, size); a copy."""
+    if size == 0:
+        return np.zeros((len(start), 0), dtype=np.uint8)
+    return np.lib.stride_tricks.sliding_window_view(buffer, size)[start]
 
 
 class Source(Protocol):
@@ -89,7 +104,7 @@ class Source(Protocol):
 
 def from_list(bag_ns: Sequence[int], messages: Sequence[bytes]) -> RawMessages:
     """Join messages that come one by one."""
-    size = np.array([len(message) for message in messages], dtype=np.int64)
+    size = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     buffer = np.frombuffer(b"".join(messages), dtype=np.uint8)
     return RawMessages(np.array(bag_ns, dtype=np.int64), buffer, np.cumsum(size) - size, size)
 

@@ -1,4 +1,4 @@
-"""rosbag1 and rosbag2 (sqlite3) as sources of messages, through ``rosbags``."""
+"""rosbag2 recordings whose files or messages are compressed, as sources of messages, through ``rosbags``."""
 
 from __future__ import annotations
 
@@ -8,27 +8,29 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from skidsteer.errors import DataError, RequestError, SkidSteerError
 from skidsteer.io.messages import type_store
-from skidsteer.io.raw import BATCH_BYTES, BATCH_MESSAGES, BagTopic, Definition, RawMessages, from_list, shown
+from skidsteer.io.raw import BagTopic, Definition, RawMessages, from_list, shown
+
+_AT_A_TIME = 2048
 
 
 class RosbagsSource:
-    """Files that ``rosbags.highlevel.AnyReader`` opens, as one source. See ``raw.Source``."""
+    """A folder that ``rosbags.highlevel.AnyReader`` opens. See ``raw.Source``."""
 
-    def __init__(self, paths: Sequence[Path], kind: str) -> None:
-        ros_version = 1 if kind == "rosbag1" else 2
-        store = type_store(ros_version)
+    def __init__(self, path: Path, kind: str) -> None:
+        store = type_store(2)
         from rosbags.highlevel import AnyReader
 
         self.kind = kind
         self.notes: list[str] = []
-        self._path = paths[0]
+        self._path = path
         with refusing(self._path, kind):
-            self._reader = AnyReader(list(paths), default_typestore=store)
+            self._reader = AnyReader([path], default_typestore=store)
             self._reader.open()
-            encoding = "ros1" if ros_version == 1 else "cdr"
-            self._connections: dict[BagTopic, list[Any]] = _by_topic(self._reader.connections, encoding)
+            self._connections: dict[BagTopic, list[Any]] = _by_topic(self._reader.connections)
         self.topics = tuple(self._connections)
 
     def close(self) -> None:
@@ -45,42 +47,27 @@ class RosbagsSource:
             yield from self._read([topic], limit)
 
     def _read(self, topics: Sequence[BagTopic], limit: int | None) -> Iterator[tuple[BagTopic, RawMessages]]:
-        owner = {(connection.topic, connection.msgtype): topic for topic in topics for connection in self._of(topic)}
-        waiting: dict[BagTopic, tuple[list[int], list[bytes]]] = {topic: ([], []) for topic in topics}
-        load = 0
-        for connection, bag_ns, message in self._messages(topics, limit):
-            stamps, messages = waiting[owner[connection.topic, connection.msgtype]]
-            stamps.append(bag_ns)
-            messages.append(message)
-            load += len(message) + BATCH_BYTES // BATCH_MESSAGES
-            if load > BATCH_BYTES:
-                load = 0
-                yield from self._flushed(waiting)
-        yield from self._flushed(waiting)
-
-    def _of(self, topic: BagTopic) -> list[Any]:
-        return self._connections.get(topic, [])
+        owner = {(topic.name, topic.type): topic for topic in topics}
+        messages = self._messages(topics, limit)
+        while batch := list(islice(messages, _AT_A_TIME)):
+            # Sorted to topics by the identity of their connections: everything done once a message is in C.
+            connections, stamps, raw = zip(*batch, strict=True)
+            with refusing(self._path, self.kind):
+                joined = from_list(stamps, raw)
+            identity = np.fromiter(map(id, connections), dtype=np.int64, count=len(connections))
+            by_identity = dict(zip(identity.tolist(), connections, strict=True))
+            for key, connection in by_identity.items():
+                yield owner[connection.topic, connection.msgtype], joined.where(identity == key)
 
     def _messages(self, topics: Sequence[BagTopic], limit: int | None) -> Iterator[tuple[Any, int, bytes]]:
-        connections = [connection for topic in topics for connection in self._of(topic)]
+        connections = [connection for topic in topics for connection in self._connections.get(topic, ())]
         if not connections:  # none would mean all to the library
             return
         with refusing(self._path, self.kind):
             yield from islice(self._reader.messages(connections=connections), limit)
 
-    def _flushed(
-        self, waiting: dict[BagTopic, tuple[list[int], list[bytes]]]
-    ) -> Iterator[tuple[BagTopic, RawMessages]]:
-        for topic, (stamps, messages) in waiting.items():
-            if messages:
-                with refusing(self._path, self.kind):
-                    piece = from_list(stamps, messages)
-                stamps.clear()
-                messages.clear()
-                yield topic, piece
 
-
-def _by_topic(connections: Sequence[Any], encoding: str) -> dict[BagTopic, list[Any]]:
+def _by_topic(connections: Sequence[Any]) -> dict[BagTopic, list[Any]]:
     """Connections (one a publisher) grouped to topics of one type."""
     groups: dict[tuple[str, str], list[Any]] = {}
     for connection in connections:
@@ -88,7 +75,7 @@ def _by_topic(connections: Sequence[Any], encoding: str) -> dict[BagTopic, list[
     topics = {}
     for (name, type_name), group in groups.items():
         count = sum(int(connection.msgcount) for connection in group)
-        topics[BagTopic(name, type_name, count, encoding, _definition(group[0].msgdef))] = group
+        topics[BagTopic(name, type_name, count, "cdr", _definition(group[0].msgdef))] = group
     return topics
 
 

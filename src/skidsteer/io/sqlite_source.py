@@ -1,0 +1,123 @@
+"""rosbag2 recordings in sqlite3 as sources of messages."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from skidsteer.errors import DataError
+from skidsteer.io.raw import BagTopic, Definition, IntArray, RawMessages, from_list, shown
+
+_AT_A_TIME = 2048
+_LONGEST = 64 << 20  # bytes of one value; SQLite refuses longer ones
+_KINDS = {"ros2msg": "msg", "ros2idl": "idl"}
+
+
+class SqliteSource:
+    """One ``.db3`` file, opened for reading only. See ``raw.Source``."""
+
+    kind = "rosbag2 sqlite3"
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.notes: list[str] = []
+        self._connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+        try:
+            self._guard()
+            self._topics = self._list_topics()
+        except sqlite3.Error as error:
+            self.close()
+            raise DataError(f"{path}: cannot be read as {self.kind}, it is damaged: {shown(error)}") from error
+        except BaseException:
+            self.close()
+            raise
+        self.topics = tuple(self._topics.values())
+        log = path.with_name(path.name + "-wal")
+        if log.is_file() and log.stat().st_size:
+            self.notes.append(f"{path.name}: the recorder left {log.name} behind; what is in it was not read")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def read(self, topics: Sequence[BagTopic], limit: int | None = None) -> Iterator[tuple[BagTopic, RawMessages]]:
+        """Messages of these topics, in the order in which they were recorded. See ``raw.Source``."""
+        wanted = {key: topic for key, topic in self._topics.items() if topic in topics}
+        groups = [list(wanted)] if limit is None else [[key] for key in wanted]
+        number = 0
+        try:
+            for keys in groups:
+                for owner, messages in self._batches(keys, -1 if limit is None else limit):
+                    number += len(messages)
+                    for key in np.unique(owner).tolist():
+                        yield wanted[key], messages.where(owner == key)
+        except sqlite3.Error as error:
+            self.notes.append(f"{self._path.name}: damaged; read no further than {number} messages ({shown(error)})")
+
+    def _batches(self, keys: Sequence[int], limit: int) -> Iterator[tuple[IntArray, RawMessages]]:
+        """So many messages at a time, and the topic of each."""
+        marks = ",".join("?" * len(keys))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) LIMIT ?"
+        cursor = self._connection.execute(query, (*keys, limit))
+        while batch := cursor.fetchmany(_AT_A_TIME):
+            try:
+                yield _joined(batch)
+            except (TypeError, ValueError, OverflowError):  # a column of any type can hold values of any other
+                if sound := [row for row in batch if _is_sound(*row)]:
+                    yield _joined(sound)
+
+    def _guard(self) -> None:
+        """Take from the file nothing but data, and nothing absurdly long."""
+        self._connection.text_factory = lambda raw: raw.decode(errors="replace")
+        self._connection.execute("PRAGMA trusted_schema = OFF")
+        if sys.version_info >= (3, 11):
+            self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
+        tables = {name for (name,) in self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not {"topics", "messages"} <= tables:
+            held = shown(", ".join(sorted(map(str, tables)))) or "none"
+            raise DataError(f"{self._path}: is no rosbag2 recording; its tables are {held}, not topics and messages")
+
+    def _list_topics(self) -> dict[int, BagTopic]:
+        definitions, counts = self._definitions(), self._counts()
+        rows = self._connection.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id")
+        return {
+            int(key): BagTopic(str(name), str(kind), counts[key], str(encoding), definitions.get(kind))
+            for key, name, kind, encoding in rows
+        }
+
+    def _definitions(self) -> dict[str, Definition]:
+        """Those of the bag's own; recordings of ROS 2 before Iron have none."""
+        try:
+            rows = self._connection.execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            ).fetchall()
+        except sqlite3.OperationalError:
+            return {}
+        return {str(name): Definition(_KINDS[kind], str(text)) for name, kind, text in rows if kind in _KINDS and text}
+
+    def _counts(self) -> Counter[int]:
+        """Messages by topic; where the file is damaged, those before the damage."""
+        try:
+            return Counter(dict(self._connection.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id")))
+        except sqlite3.Error:
+            found: Counter[int] = Counter()
+            try:
+                for (key,) in self._connection.execute("SELECT topic_id FROM messages"):
+                    found[key] += 1
+            except sqlite3.Error:
+                pass
+            return found
+
+
+def _joined(rows: Sequence[tuple[int, int, bytes]]) -> tuple[IntArray, RawMessages]:
+    owner, stamps, messages = zip(*rows, strict=True)
+    return np.array(owner, dtype=np.int64), from_list(stamps, messages)
+
+
+def _is_sound(owner: object, stamp: object, message: object) -> bool:
+    return isinstance(owner, int) and isinstance(stamp, int) and isinstance(message, bytes)
