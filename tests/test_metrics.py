@@ -1,0 +1,265 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose, assert_array_equal
+
+from skidsteer.drive import Drive, Series
+from skidsteer.metrics import AlignedGyro, Spread, WindowErrors, align_gyro, aligned_rms, window_errors
+from skidsteer.models import Differential, Icr, Model
+from skidsteer.se2 import FloatArray, chain, compose, rotate
+from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
+from skidsteer.vehicle import preset
+from skidsteer.windows import Timing, Windows, judging_windows, predict
+
+P3AT = preset("pioneer-p3at")
+TRUTH = Icr(0.2553, -0.3071, -0.0120, 0.9271, 0.9049)
+WRONG = Icr(0.35, -0.35, 0.05, 1.0, 0.9)
+STILL, LEFT, RIGHT = [3.0, 0.0, 0.0], [5.0, 0.4, 0.6], [5.0, 0.4, -0.5]
+MANOEUVRES = [STILL, [4.0, 0.4, 0.0], LEFT, RIGHT, STILL, [4.0, 0.0, 0.9], [4.0, 0.0, -0.7], RIGHT, LEFT, STILL]
+TIMING = Timing(0.2, 0.08)
+
+
+def perfect_drive(rate: float = 5.0) -> Drive:
+    """No noise at all; the reference is 0.2 s late, the lag 0.08 s."""
+    rims = rims_from_manoeuvres(np.array(MANOEUVRES), Differential(P3AT.track_width))
+    return kinematic_drive("d", P3AT, TRUTH, rims, Sensors(rate, 0.0, 0.0, reference_delay=0.2), lag=0.08)
+
+
+PERFECT = perfect_drive()
+
+
+def with_gyro(drive: Drive, late: float, bias: float = 0.0, scale: float = 1.0, noise: float = 0.0) -> Drive:
+    """A gyro at 50 Hz whose stamps are late; ``scale`` is true over measured rate."""
+    t = np.arange(drive.span[0] + 0.5, drive.span[1] - 0.5, 0.02)
+    short = Windows(t - 0.005, t + 0.005, np.zeros((len(t), 3)), np.zeros(len(t), bool))
+    rate = predict(TRUTH, drive.wheels, short, Timing(0.0, 0.08))[:, 2] / 0.01
+    rate = rate / scale + bias + noise * np.random.default_rng(0).standard_normal(len(t))
+    return replace(drive, gyro=Series(t + late, rate, "gyro"))
+
+
+# Spread
+
+
+def test_spread_by_hand() -> None:
+    spread = Spread.of(np.array([3.0, -4.0, 0.0, 1.0, -2.0]))
+    assert spread.median == 2.0
+    assert spread.rms == pytest.approx(np.sqrt(30.0 / 5.0))
+    assert spread.p95 == pytest.approx(3.8)  # between the fourth and fifth of five sizes, 0.8 of the way
+    assert Spread.of(np.array([-0.5])) == Spread(0.5, 0.5, 0.5)
+
+
+def test_spread_of_nothing_is_nan() -> None:
+    spread = Spread.of(np.zeros(0))
+    assert np.isnan([spread.median, spread.rms, spread.p95]).all()
+
+
+# Window errors
+
+
+def test_the_truth_makes_no_errors() -> None:
+    errors = window_errors(TRUTH, PERFECT, TIMING)
+    assert len(errors) > 15
+    assert_allclose(errors.translation, 0.0, atol=1e-6)
+    assert_allclose(errors.yaw, 0.0, atol=1e-9)
+    assert_array_equal(errors.yaw_gyro, [])
+
+
+def test_window_errors_by_hand() -> None:
+    """A reference that turns left by 3.0 rad a window, a model that turns right: the error wraps."""
+    pose = Series(np.array([0.0, 2.0, 4.0]), chain([[1.0, 0.0, 3.0], [0.3, -0.4, 0.1]]), "pose")
+    wheels = Series(np.array([0.0, 1.0]), np.array([[0.5, 0.5], [0.5, 0.5]]))
+    errors = window_errors(Differential(0.5), Drive("d", P3AT, wheels, pose=pose, segments=None), Timing())
+    assert len(errors) == 0  # wheels end at 1 s
+    wheels = Series(np.arange(5.0), np.array([[0.5, 0.5], [0.5, 0.5], [0.1, -0.1], [0.1, -0.1], [0.0, 0.0]]))
+    errors = window_errors(Differential(0.5), Drive("d", P3AT, wheels, pose=pose), Timing())
+    # predicted: 1 m straight; -0.8 rad on the spot
+    assert_allclose(errors.translation, [0.0, 0.5], atol=1e-12)
+    assert_allclose(errors.yaw, [3.0, 0.9], atol=1e-12)
+    assert_array_equal(errors.start, [0.0, 2.0])
+
+
+def test_yaw_errors_are_wrapped() -> None:
+    pose = Series(np.array([0.0, 2.0]), chain([[0.0, 0.0, 3.0]]), "pose")
+    wheels = Series(np.arange(4.0), np.tile([0.75, -0.75], (4, 1)))
+    errors = window_errors(Differential(1.0), Drive("d", P3AT, wheels, pose=pose), Timing())
+    assert_allclose(errors.yaw, [6.0 - 2 * np.pi], atol=1e-12)
+
+
+def test_errors_are_those_of_given_windows() -> None:
+    windows = judging_windows(PERFECT, 2.0)
+    some = windows.where(np.arange(len(windows)) % 2 == 0)
+    whole, part = window_errors(WRONG, PERFECT, TIMING), window_errors(WRONG, PERFECT, TIMING, windows=some)
+    assert_allclose(part.translation, whole.translation[::2], atol=0)
+    assert_allclose(part.yaw, whole.yaw[::2], atol=0)
+    assert (whole.translation > 1e-3).all()
+
+
+def test_join_and_where() -> None:
+    a = WindowErrors(np.array([0.0, 2.0]), np.array([0.1, 0.2]), np.array([0.3, 0.4]), np.zeros(0))
+    b = WindowErrors(np.array([5.0]), np.array([0.5]), np.array([0.6]), np.zeros(0))
+    both = WindowErrors.join([a, b])
+    assert_array_equal(both.start, [0.0, 2.0, 5.0])
+    assert_array_equal(both.translation, [0.1, 0.2, 0.5])
+    assert_array_equal(both.yaw, [0.3, 0.4, 0.6])
+    kept = both.where(np.array([True, False, True]))
+    assert_array_equal(kept.translation, [0.1, 0.5])
+    assert_array_equal(kept.yaw, [0.3, 0.6])
+    assert_array_equal(kept.start, [0.0, 5.0])
+    assert len(kept.yaw_gyro) == 0
+    assert len(WindowErrors.join([])) == 0
+
+
+# Positions without heading
+
+paths = arrays(np.float64, (6, 2), elements=st.floats(-3.0, 3.0).map(lambda x: round(x, 3)))
+
+
+def rms_at(path: FloatArray, reference: FloatArray, turn: float) -> float:
+    a, b = path - path.mean(axis=0), reference - reference.mean(axis=0)
+    return float(np.sqrt(((rotate(np.full(len(a), turn), a) - b) ** 2).sum(axis=1).mean()))
+
+
+@given(paths, paths)
+def test_aligned_rms_is_the_least_over_all_turns(path: FloatArray, reference: FloatArray) -> None:
+    turns = np.linspace(-np.pi, np.pi, 721)
+    coarse = turns[np.argmin([rms_at(path, reference, t) for t in turns])]
+    searched = min(rms_at(path, reference, t) for t in coarse + np.linspace(-0.01, 0.01, 201))
+    assert aligned_rms(path, reference) == pytest.approx(searched, abs=1e-4)
+
+
+@given(paths, st.floats(-4.0, 4.0))
+def test_aligned_rms_does_not_see_rigid_motions(path: FloatArray, turn: float) -> None:
+    moved = compose([3.0, -2.0, turn], np.c_[path, np.zeros(len(path))])[:, :2]
+    assert aligned_rms(path, moved) == pytest.approx(0.0, abs=1e-7)
+    assert aligned_rms(moved, path) == pytest.approx(0.0, abs=1e-7)
+
+
+def test_aligned_rms_by_hand() -> None:
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    # twice as long: no scale is fitted, the ends are 1 m off
+    assert aligned_rms(line, 2.0 * line[:, ::-1]) == pytest.approx(np.sqrt(2.0 / 3.0))
+    # a mirror image cannot be turned away
+    corner = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]])
+    assert aligned_rms(corner, corner * [1.0, -1.0]) > 0.3
+
+
+def positions_of(drive: Drive) -> Drive:
+    assert drive.pose is not None
+    xy = compose([5.0, 1.0, 2.0], drive.pose.values)[:, :2]
+    return replace(drive, pose=None, position=Series(drive.pose.t, xy, "position"))
+
+
+def test_positions_are_compared_after_alignment() -> None:
+    drive = positions_of(PERFECT)
+    errors = window_errors(TRUTH, drive, TIMING)
+    assert len(errors) > 10
+    assert_allclose(errors.translation, 0.0, atol=1e-6)
+    assert len(errors.yaw) == 0
+    assert np.median(window_errors(WRONG, drive, TIMING).translation) > 1e-3
+    with_late_stamps = window_errors(TRUTH, drive, Timing(0.0, 0.08))
+    assert with_late_stamps.translation.max() > 1e-3  # the time offset is heeded
+
+
+def test_position_errors_are_the_rms_along_the_window() -> None:
+    """Independent: the path by chaining predicted increments, aligned by a search."""
+    drive = positions_of(PERFECT)
+    assert drive.position is not None
+    errors = window_errors(WRONG, drive, TIMING, length=3.0)
+    k = 4
+    i = int(np.searchsorted(drive.position.t, errors.start[k]))
+    j = int(np.searchsorted(drive.position.t, errors.start[k] + 3.0 + 1e-9, side="right")) - 1
+    t, xy = drive.position.t[i : j + 1], drive.position.values[i : j + 1]
+    windows = Windows(np.full(j - i, t[0]), t[1:], np.zeros((j - i, 3)), np.zeros(j - i, bool))
+    path = np.r_[np.zeros((1, 2)), predict(WRONG, drive.wheels, windows, TIMING)[:, :2]]
+    searched = min(rms_at(path, xy, turn) for turn in np.linspace(-np.pi, np.pi, 20_001))
+    assert errors.translation[k] == pytest.approx(searched, rel=1e-4)
+
+
+def test_standing_windows_of_positions_do_not_count() -> None:
+    drive = positions_of(PERFECT)
+    errors = window_errors(TRUTH, drive, TIMING)
+    assert drive.position is not None
+    at = drive.position.values[np.searchsorted(drive.position.t, errors.start)]
+    end = np.searchsorted(drive.position.t, errors.start + 2.0 + 1e-9, side="right") - 1
+    assert (np.hypot(*(drive.position.values[end] - at).T) >= 0.1).all()
+
+
+# Gyro
+
+
+@pytest.mark.parametrize("late", [0.0, 0.137, -0.43])
+def test_align_gyro_recovers_offset_bias_and_scale(late: float) -> None:
+    drive = with_gyro(PERFECT, late, bias=0.02, scale=0.95, noise=0.005)
+    aligned = align_gyro(drive, TRUTH, TIMING)
+    assert aligned.time_offset == pytest.approx(late, abs=0.005)
+    assert aligned.bias == pytest.approx(0.02, abs=0.002)
+    assert aligned.scale == pytest.approx(0.95, abs=0.004)
+    start, end = np.array([10.0, 18.0]), np.array([12.0, 21.0])
+    windows = Windows(start, end, np.zeros((2, 3)), np.zeros(2, bool))
+    assert_allclose(
+        aligned.turned(start, end), predict(TRUTH, drive.wheels, windows, Timing(0.0, 0.08))[:, 2], atol=0.01
+    )
+
+
+def test_the_offset_of_the_gyro_does_not_need_the_right_model() -> None:
+    """Correlation is blind to scale: a model that turns a third too slowly finds the same offset."""
+    drive = with_gyro(PERFECT, 0.137)
+    assert align_gyro(drive, Differential(0.8), TIMING).time_offset == pytest.approx(0.137, abs=0.01)
+
+
+def test_gyro_errors_of_the_truth_are_small() -> None:
+    errors = window_errors(TRUTH, with_gyro(PERFECT, 0.1, bias=0.01, scale=1.1), TIMING)
+    assert len(errors.yaw_gyro) == len(errors.translation) > 15
+    assert np.sqrt(np.mean(errors.yaw_gyro**2)) < 0.005
+
+
+def test_gyro_errors_are_those_of_the_yaw() -> None:
+    """A perfect gyro judges a wrong model as the reference's yaw does."""
+    errors = window_errors(WRONG, with_gyro(PERFECT, 0.0), TIMING)
+    assert_allclose(errors.yaw_gyro, -errors.yaw, atol=0.01)
+    assert np.abs(errors.yaw).max() > 0.1
+
+
+def test_a_drive_with_a_gyro_only_is_judged_by_it() -> None:
+    drive = replace(with_gyro(PERFECT, 0.1, bias=0.01), pose=None)
+    errors = window_errors(TRUTH, drive, Timing(0.0, 0.08))
+    assert len(errors.translation) == len(errors.yaw) == 0
+    assert len(errors.yaw_gyro) == pytest.approx((drive.span[1] - drive.span[0]) / 2.0, abs=1.0)
+    inside = errors.yaw_gyro[1:-2]  # the gyro begins and ends half a second inside the wheels
+    assert np.abs(inside).max() < 0.01
+    assert np.abs(window_errors(WRONG, drive, Timing(0.0, 0.08)).yaw_gyro).max() > 0.1
+    assert align_gyro(drive, TRUTH, Timing(0.0, 0.08)).scale == 1.0
+
+
+def test_bias_and_scale_that_cannot_be_told() -> None:
+    """Never at rest: no bias. Hardly any turn: no scale."""
+    t = np.arange(0.0, 20.0, 0.02)
+    model: Model = Differential(0.4)
+    wheels = Series(t, np.c_[0.4 - 0.01 * np.sin(t), 0.4 + 0.01 * np.sin(t)])
+    pose = Series(t[::10], np.c_[0.4 * t[::10], 0.0 * t[::10], 0.0 * t[::10]])
+    drive = Drive("d", P3AT, wheels, pose=pose, gyro=Series(t, 0.05 * np.sin(t) + 0.3))
+    aligned = align_gyro(drive, model, Timing())
+    assert aligned.bias == 0.0
+    assert aligned.scale == 1.0
+    assert aligned.time_offset == pytest.approx(-0.01, abs=0.002)  # speeds held for 0.02 s come 0.01 s late on average
+
+
+def test_a_gyro_of_half_the_drive_makes_no_errors_in_the_other() -> None:
+    drive = with_gyro(PERFECT, 0.1)
+    assert drive.gyro is not None
+    half = replace(drive, gyro=drive.gyro.between(0.0, 20.0))
+    assert np.abs(window_errors(TRUTH, half, TIMING).yaw_gyro).max() < 0.01
+
+
+def test_a_dead_gyro_is_not_shifted() -> None:
+    drive = replace(PERFECT, gyro=Series(PERFECT.wheels.t, np.zeros(len(PERFECT.wheels))))
+    assert align_gyro(drive, TRUTH, TIMING).time_offset == 0.0
+
+
+def test_turned_by_hand() -> None:
+    gyro = AlignedGyro(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.5, 2.5]), 0.0, 1.0, 0.0)
+    assert_allclose(gyro.turned(np.array([0.5, 1.0]), np.array([1.5, 2.0])), [1.25, 2.0])
