@@ -90,7 +90,7 @@ def rims_from_manoeuvres(
     targets = model.wheel_speeds(manoeuvres[:, 1], manoeuvres[:, 2])
     ends = np.cumsum(manoeuvres[:, 0])
     t = np.arange(0.0, ends[-1], 1.0 / rate)
-    wanted = targets[np.searchsorted(ends, t, side="right")]
+    wanted = targets[np.minimum(np.searchsorted(ends, t, side="right"), len(ends) - 1)]  # t may round up to the end
     rims = np.zeros_like(wanted)
     for i in range(1, len(t)):
         rims[i] = rims[i - 1] + np.clip(wanted[i] - rims[i - 1], -acceleration / rate, acceleration / rate)
