@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skidsteer.drive import Drive, Series
+from skidsteer.drive import Drive
+from skidsteer.gyro import GyroErrors, Turn, rough_errors
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray, chain, wrap
-from skidsteer.windows import Timing, Windows, judging_pairs, judging_windows, predict
+from skidsteer.windows import Timing, Windows, judging_pairs, judging_windows, predict, stretches
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +67,23 @@ def window_errors(
     windows = judging_windows(drive, length) if windows is None else windows
     predicted = predict(model, drive.wheels, windows, timing)
     error = windows.motion - predicted
-    gyro = np.zeros(0)
-    if drive.gyro is not None and len(windows):
-        aligned = align_gyro(drive, model, timing)
-        start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
-        gyro = predicted[:, 2] - aligned.turned(start, end)
+    gyro = _gyro_errors(model, drive, timing, windows) if drive.gyro is not None and len(windows) else np.zeros(0)
     return WindowErrors(windows.start, np.hypot(error[:, 0], error[:, 1]), wrap(error[:, 2]), gyro)
+
+
+def _gyro_errors(model: Model, drive: Drive, timing: Timing, windows: Windows) -> FloatArray:
+    """Turned angle (k,) [rad] predicted less that of the gyro, over the part of each window where both speak."""
+    assert drive.gyro is not None
+    errors, turn = align_gyro(drive, model, timing), Turn.of(drive.gyro)
+    start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
+    middle = 0.5 * (start + end)
+    for stretch in (stretches(drive.wheels.t), stretches(turn.t) - errors.time_offset):
+        around = stretch[np.clip(np.searchsorted(stretch[:, 0], middle, side="right") - 1, 0, None)]
+        start, end = np.maximum(start, around[:, 0]), np.minimum(end, around[:, 1])
+    start = np.minimum(start, end)
+    clipped = Windows(start, end, windows.motion, windows.joined)
+    turned = predict(model, drive.wheels, clipped, Timing(0.0, timing.lag))[:, 2]
+    return np.asarray(turned - turn.between(start, end, errors))
 
 
 def _position_errors(model: Model, drive: Drive, timing: Timing, length: float) -> WindowErrors:
@@ -79,9 +91,7 @@ def _position_errors(model: Model, drive: Drive, timing: Timing, length: float) 
     pairs = judging_pairs(drive, t, length)
     if drive.position is None:
         windows = Windows(t[pairs[:, 0]], t[pairs[:, 1]], np.zeros((len(pairs), 3)), np.zeros(len(pairs), bool))
-        turned = predict(model, drive.wheels, windows, timing)[:, 2]
-        aligned = align_gyro(drive, model, timing)
-        gyro = turned - aligned.turned(windows.start - timing.time_offset, windows.end - timing.time_offset)
+        gyro = _gyro_errors(model, drive, Timing(0.0, timing.lag), windows)
         return WindowErrors(windows.start, np.zeros(0), np.zeros(0), gyro)
     starts, errors = [], []
     xy = drive.position.values
@@ -104,79 +114,23 @@ def aligned_rms(path: FloatArray, reference: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.abs(b - turn * a) ** 2)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AlignedGyro:
-    """Integrated gyro on the wheels' clock: yaw (n,) [rad] at times t (n,) [s], bias and scale removed."""
-
-    t: FloatArray
-    yaw: FloatArray
-    time_offset: float  # [s] stamps of the gyro are late against the wheels by this
-    scale: float  # true over measured rate
-    bias: float  # [rad/s]
-
-    def turned(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Angle (k,) turned between wheel times start and end (k,)."""
-        return np.asarray(np.interp(end, self.t, self.yaw) - np.interp(start, self.t, self.yaw))
-
-
-def align_gyro(drive: Drive, model: Model, timing: Timing, search: tuple[float, float] = (-1.0, 1.0)) -> AlignedGyro:
-    """Bring the drive's gyro onto the wheels' clock.
+def align_gyro(drive: Drive, model: Model, timing: Timing) -> GyroErrors:
+    """What the drive's gyro is wrong by, so that it can judge the yaw of a model.
 
     The time offset is the one at which the yaw rate predicted from the wheels correlates best with the gyro; the bias
     is the gyro's median at rest; the scale is that of the reference yaw over the integrated gyro (1 without one, or
     where the drive does not turn enough to tell).
     """
     assert drive.gyro is not None
-    gyro = drive.gyro
-    offset = _gyro_offset(drive.wheels, gyro, model, timing, search)
-    bias = _bias_at_rest(drive.wheels, gyro, offset)
-    t = gyro.t - offset
-    rate = gyro.values[:, 0] - bias
-    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.minimum(np.diff(t), 0.5))])
-    scale = _gyro_scale(drive, AlignedGyro(t, yaw, offset, 1.0, bias), timing)
-    return AlignedGyro(t, scale * yaw, offset, scale, bias)
-
-
-def _gyro_offset(wheels: Series, gyro: Series, model: Model, timing: Timing, search: tuple[float, float]) -> float:
-    """Offset [s] of best correlation, from a grid of 0.02 s and a parabola through its best three points."""
-    dt = max(0.02, (wheels.t[-1] - wheels.t[0]) / 50_000)
-    t = np.arange(wheels.t[0] + 0.5 * dt, wheels.t[-1], dt)
-    near = np.searchsorted(wheels.t, t)
-    t = t[wheels.t[np.minimum(near, len(wheels) - 1)] - wheels.t[np.maximum(near - 1, 0)] < 1.0]
-    windows = Windows(t - 0.5 * dt, t + 0.5 * dt, np.zeros((len(t), 3)), np.ones(len(t), bool))
-    rate = predict(model, wheels, windows, Timing(0.0, timing.lag))[:, 2] / dt
-    grid = np.arange(search[0], search[1] + 0.01, 0.02)
-    score = np.array([_correlation(rate, np.interp(t + o, gyro.t, gyro.values[:, 0])) for o in grid])
-    best = int(np.argmax(score))
-    if not 0 < best < len(grid) - 1:
-        return float(grid[best]) if score[best] > 0 else 0.0
-    a, b, c = score[best - 1 : best + 2]
-    bend = a - 2.0 * b + c
-    return float(grid[best] + (0.02 * 0.5 * (a - c) / bend if bend < 0 else 0.0))
-
-
-def _correlation(a: FloatArray, b: FloatArray) -> float:
-    spread = float(np.std(a) * np.std(b))
-    return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0 else 0.0
-
-
-def _bias_at_rest(wheels: Series, gyro: Series, offset: float) -> float:
-    """Median gyro rate [rad/s] where the wheels have stood still for half a second; 0 where they never do."""
-    t = gyro.t - offset
-    rest = np.ones(len(t), bool)
-    for shift in (-0.5, -0.25, 0.0, 0.25):
-        rest &= np.abs(wheels.hold(t + shift)).max(axis=1) < 1e-3
-    return float(np.median(gyro.values[rest, 0])) if rest.sum() >= 20 else 0.0
-
-
-def _gyro_scale(drive: Drive, unscaled: AlignedGyro, timing: Timing) -> float:
+    found = rough_errors(drive.wheels, drive.gyro, model, timing.lag, (-1.0, 1.0))
     if drive.pose is None:
-        return 1.0
+        return found
     windows = judging_windows(drive, 2.0)
-    measured = windows.motion[:, 2]
-    gyro = unscaled.turned(windows.start - timing.time_offset, windows.end - timing.time_offset)
-    keep = (np.abs(wrap(gyro - measured)) < 0.5) & (np.abs(gyro) > 0.2)
-    measured = gyro + wrap(measured - gyro)
+    start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
+    turn = Turn.of(drive.gyro)
+    gyro = turn.between(start, end, found)
+    measured = gyro + wrap(windows.motion[:, 2] - gyro)
+    keep = (np.abs(measured - gyro) < 0.5) & (np.abs(gyro) > 0.2) & turn.covers(start, end, found)
     if keep.sum() < 10:
-        return 1.0
-    return float(np.median(measured[keep] / gyro[keep]))
+        return found
+    return replace(found, scale=float(np.median(measured[keep] / gyro[keep])))

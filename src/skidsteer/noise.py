@@ -1,4 +1,4 @@
-"""How wrong reference poses and motion predictions are: five standard deviations, found by maximum likelihood."""
+"""How wrong references and motion predictions are: six standard deviations, found by maximum likelihood."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ class Noise:
     stamp: float = 0.02  # [s]
     walk: float = 0.05  # [m / sqrt(m)] of the position, each axis, after a metre rolled
     turn: float = 0.05  # [rad / sqrt(m)] of the yaw, after a metre rolled
+    gyro: float = 0.01  # [rad / sqrt(s)] of a gyro's turn, after a second
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -33,7 +34,7 @@ class Noise:
                 raise ValueError(f"noise {f.name} must be positive, got {getattr(self, f.name)}")
 
 
-BOUNDS = Noise(1e-5, 1e-5, 1e-4, 1e-4, 1e-4), Noise(1.0, 1.0, 0.5, 1.0, 2.0)
+BOUNDS = Noise(1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4), Noise(1.0, 1.0, 0.5, 1.0, 2.0, 0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +60,8 @@ class Residuals:
     rolled: FloatArray  # (k,) [m] mean distance rolled by the two rims
     start_twist: FloatArray  # (k, 3) body twist at the start
     end_twist: FloatArray  # (k, 3) body twist at the end
+    gyro: FloatArray  # (k,) [rad] turn of the gyro less the predicted one; 0 where the gyro does not speak
+    gyro_time: FloatArray  # (k,) [s] that the gyro integrated; infinite where it does not speak
 
     def covariances(self, noise: Noise, weights: Weights) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Variance of the motion (k, 3), covariance of start and end pose (k, 3, 3), for ``kernels.chain``."""
@@ -69,14 +72,27 @@ class Residuals:
         return process, start, end
 
 
-def residuals(model: Model, windows: Windows, cut: Steps, predicted: FloatArray) -> Residuals:
-    """Compare predicted motions (k, 3) with the measured ones."""
+def residuals(
+    model: Model, windows: Windows, cut: Steps, predicted: FloatArray, turned: FloatArray | None = None
+) -> Residuals:
+    """Compare predicted motions with measured ones.
+
+    Args:
+        model: for the twists at both ends.
+        windows: with the measured motions.
+        cut: their wheel samples.
+        predicted: (k, 3) motion of the reference's sensor that the model predicts.
+        turned: (k,) turn that a gyro tells; NaN where it does not speak.
+    """
     residual = windows.motion - predicted
     residual[:, 2] = wrap(residual[:, 2])
     cumulative = np.concatenate([[0.0], np.cumsum(np.abs(cut.distance).mean(axis=1))])
     rolled = np.diff(cumulative[cut.offsets])
-    twists = (model.twist(s[:, 0], s[:, 1]) for s in (cut.start_speeds, cut.end_speeds))
-    return Residuals(windows, residual, rolled, *twists)
+    first, last = (model.twist(s[:, 0], s[:, 1]) for s in (cut.start_speeds, cut.end_speeds))
+    gyro = np.full(len(windows), np.nan) if turned is None else turned - predicted[:, 2]
+    speaks = np.isfinite(gyro)
+    gyro_time = np.where(speaks, windows.end - windows.start, np.inf)
+    return Residuals(windows, residual, rolled, first, last, np.where(speaks, gyro, 0.0), gyro_time)
 
 
 def _pose_covariance(noise: Noise, twist: FloatArray) -> FloatArray:
@@ -96,6 +112,9 @@ def deviance(parts: list[Residuals], noise: Noise, weights: list[Weights]) -> fl
             part.residual,
             np.zeros((count, 3, 0)),
             *part.covariances(noise, weight),
+            part.gyro,
+            np.zeros((count, 0)),
+            noise.gyro**2 * part.gyro_time,
             block,
             1,
         )[2]
@@ -111,7 +130,9 @@ def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most
         return deviance(list(some), Noise(*np.exp(x).tolist()), list(light))
 
     x0 = np.clip(np.log(astuple(start)), low, high)
-    found = minimize(cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4, "ftol": 1e-6})
+    found = minimize(
+        cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4, "ftol": 1e-6}
+    )
     return Noise(*np.exp(found.x if found.fun < cost(x0) else x0).tolist())
 
 
@@ -122,7 +143,7 @@ def _middle(part: Residuals, weights: Weights, most: int) -> tuple[Residuals, We
     first = (count - most) // 2
     keep = np.zeros(count, bool)
     keep[first : first + most] = True
-    arrays = (part.residual, part.rolled, part.start_twist, part.end_twist)
+    arrays = (part.residual, part.rolled, part.start_twist, part.end_twist, part.gyro, part.gyro_time)
     kept = Residuals(part.windows.where(keep), *(a[keep] for a in arrays))
     return kept, Weights(weights.start[keep], weights.end[keep], weights.motion[keep])
 
@@ -140,8 +161,9 @@ def reweigh(parts: list[Residuals], noise: Noise) -> list[Weights]:
     for part in parts:
         ones = Weights.ones(len(part.residual))
         process, noise_start, noise_end = part.covariances(noise, ones)
-        args = (part.windows.motion, part.windows.joined, part.residual, process, noise_start, noise_end)
-        start, end, moved = chain.smooth(*args)
+        known = (part.windows.motion, part.windows.joined, part.residual)
+        gyro = (part.gyro, noise.gyro**2 * part.gyro_time)
+        start, end, moved = chain.smooth(*known, process, noise_start, noise_end, *gyro)
         distances = (
             np.einsum("ki,kij,kj->k", start, np.linalg.inv(noise_start), start),
             np.einsum("ki,kij,kj->k", end, np.linalg.inv(noise_end), end),

@@ -10,7 +10,7 @@ import numpy as np
 from skidsteer.drive import Drive, Series
 from skidsteer.kernels import rollout as kernels
 from skidsteer.models import MatrixModel, Model
-from skidsteer.se2 import FloatArray, between, rotate
+from skidsteer.se2 import FloatArray, between, compose, rotate
 
 MAX_GAP = 1.0  # [s] without a wheel sample: nothing is known of the motion beyond
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
@@ -31,6 +31,24 @@ class Timing:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.time_offset) and np.isfinite(self.lag) and self.lag >= 0.0):
             raise ValueError(f"need a finite time_offset and lag >= 0 [s], got {self.time_offset}, {self.lag}")
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Pose of the reference's sensor (antenna, scanner, marker) in base_link: x, y [m], yaw [rad]."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.x, self.y, self.yaw]).all():
+            raise ValueError(f"a mount needs finite x, y [m] and yaw [rad], got {self.x}, {self.y}, {self.yaw}")
+
+    def seen(self, motion: FloatArray) -> FloatArray:
+        """Motions (k, 3) of the body as its sensor sees them."""
+        here = np.array([self.x, self.y, self.yaw])
+        return between(np.broadcast_to(here, motion.shape), compose(motion, here))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,15 +79,26 @@ def pieces(drive: Drive) -> FloatArray:
 
     They are cut where no wheel sample came for ``MAX_GAP``.
     """
-    t = drive.wheels.t
-    gaps = np.flatnonzero(np.diff(t) > MAX_GAP)
-    covered = np.stack([np.r_[t[0], t[gaps + 1]], np.r_[t[gaps], t[-1]]], axis=1)
+    covered = stretches(drive.wheels.t)
     if drive.segments is None:
         return covered
     low = np.searchsorted(covered[:, 1], drive.segments[:, 0], side="right")
     high = np.searchsorted(covered[:, 0], drive.segments[:, 1], side="left")
     cut = [np.clip(covered[a:b], *segment) for a, b, segment in zip(low, high, drive.segments, strict=True)]
     return np.concatenate([np.zeros((0, 2)), *cut])
+
+
+def stretches(t: FloatArray) -> FloatArray:
+    """First and last time (k, 2) [s] of the stretches of a clock t (n,) without a gap of more than ``MAX_GAP``."""
+    gaps = np.flatnonzero(np.diff(t) > MAX_GAP)
+    return np.stack([np.r_[t[0], t[gaps + 1]], np.r_[t[gaps], t[-1]]], axis=1)
+
+
+def covered(t: FloatArray, start: FloatArray, end: FloatArray) -> np.ndarray:
+    """Whether a clock t (n,) has samples, without a gap, all through each of the times start to end (k,)."""
+    stretch = stretches(t)
+    index = np.clip(np.searchsorted(stretch[:, 0], start, side="right") - 1, 0, None)
+    return np.asarray((stretch[index, 0] <= start) & (end <= stretch[index, 1]))
 
 
 def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) -> Windows:
@@ -241,3 +270,25 @@ def _by_offset(model: Model, cut: Steps, motion: FloatArray) -> FloatArray:
     gained = first[:, :2] + omega * np.stack([-y, x], axis=-1)
     lost = rotate(yaw, last[:, :2])
     return np.concatenate([gained - lost, omega - last[:, 2:]], axis=-1)
+
+
+def seen_by(mount: Mount, motion: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motions (k, 3) of the body and their derivative (k, 3, p) as a sensor sees them.
+
+    Returns:
+        motion (k, 3) and derivative (k, 3, p + 3); the last three columns are by x, y and yaw of the mount.
+    """
+    lever, back = np.array([mount.x, mount.y]), np.full(len(motion), -mount.yaw)
+    yaw = motion[:, 2]
+    seen = motion.copy()
+    seen[:, :2] = rotate(back, motion[:, :2] + rotate(yaw, lever) - lever)
+    swung = rotate(yaw + 0.5 * np.pi, lever)  # d (R lever) / d yaw
+    out = np.zeros((len(motion), 3, jacobian.shape[2] + 3))
+    out[:, 2, :-3] = jacobian[:, 2]
+    moved = jacobian[:, :2] + swung[:, :, None] * jacobian[:, 2:3]
+    out[:, :2, :-3] = np.moveaxis(rotate(back[:, None], np.moveaxis(moved, 1, 2)), 1, 2)
+    for i in range(2):
+        unit = np.eye(2)[i]
+        out[:, :2, -3 + i] = rotate(back, rotate(yaw, unit) - unit)
+    out[:, :2, -1] = rotate(np.full(len(motion), -0.5 * np.pi), seen[:, :2])
+    return seen, out

@@ -18,6 +18,7 @@ from skidsteer.identify.holdout import HeldOutErrors, held_out
 from skidsteer.identify.least_squares import Fit, FitOptions, fit
 from skidsteer.identify.select import Selection, select
 from skidsteer.identify.spacing import choose_spacing
+from skidsteer.identify.unknowns import UNITS
 from skidsteer.models import MODELS
 from skidsteer.windows import increment_windows, pieces
 
@@ -88,9 +89,9 @@ def calibrate(
     return Calibration(
         vehicle=drives[0].vehicle,
         model=found.model,
-        names=found.names,
+        names=tuple(np.array(found.names)[found.told].tolist()),
         estimates=_estimates(found),
-        covariance=found.covariance,
+        covariance=found.covariance[np.ix_(found.told, found.told)],
         noise=found.noise,
         provenance=_provenance(drives, found, options),
         method=options.method,
@@ -156,22 +157,25 @@ def _choose(options: CalibrateOptions, judged: Mapping[str, HeldOutErrors]) -> t
 
 
 def _estimates(found: Fit) -> dict[str, Estimate]:
-    sigma = np.sqrt(np.diag(found.covariance))
     units = {p.name: p.unit for p in found.model.PARAMETERS}
-    return {
-        name: Estimate(float(found.values[i]), float(sigma[i]), units.get(name, "s"), _determined(found, i))
-        for i, name in enumerate(found.names)
-    }
+    estimates = {}
+    for i in np.flatnonzero(found.told):
+        name = found.names[i]
+        value, sigma = found.named(name)
+        estimates[name] = Estimate(
+            value, sigma, units.get(name) or UNITS.get(name.split(":")[0], ""), _determined(found, i)
+        )
+    return estimates
 
 
-def _determined(found: Fit, i: int) -> bool:
+def _determined(found: Fit, i: np.intp | int) -> bool:
     """Given, or known much better than before the drive."""
     return bool(not found.free[i] or found.covariance[i, i] < (DETERMINED * found.prior_sigma[i]) ** 2)
 
 
 def _warnings(found: Fit, judged: Mapping[str, HeldOutErrors], chosen: str, drives: Sequence[Drive]) -> tuple[str, ...]:
     notes = []
-    weak = [name for i, name in enumerate(found.names) if not _determined(found, i)]
+    weak = [name for i, name in enumerate(found.names) if found.told[i] and not _determined(found, i)]
     if weak:
         notes.append(f"not determined by this drive: {', '.join(weak)}; the values given are assumptions, see sigma")
     if not found.converged:

@@ -8,18 +8,20 @@ weighed down where they happened.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import chi2
 
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError
+from skidsteer.gyro import GyroErrors, Turn, rough_errors
+from skidsteer.identify.unknowns import Unknowns
 from skidsteer.kernels import chain
 from skidsteer.models import Model
 from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals, reweigh
 from skidsteer.se2 import FloatArray
-from skidsteer.windows import Timing, Windows, linearize, predict, steps
+from skidsteer.windows import Mount, Timing, Windows, covered, linearize, predict, seen_by, steps
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +34,10 @@ class FitOptions:
 
     time_offset: float | None = None  # [s] fixed to this; None: estimated, one for each drive
     lag: float | None = None  # [s] fixed to this; None: estimated
+    mount: Mount | None = field(
+        default_factory=Mount
+    )  # of the reference's sensor; None: estimated (models symmetric about the origin)
+    use_gyro: bool = True  # a gyro, where there is one, tells turns beside the reference
     fix_model: bool = False  # keep the model's parameters, estimate only the timing
     noise: Noise | None = None  # fixed to this; None: estimated
     robust: bool = True  # weigh down outliers
@@ -44,10 +50,11 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Estimates and their covariance; ``names`` orders the rows: parameters, lag, time offset of each drive."""
+    """Estimates and their covariance; ``names`` orders the rows, see ``Unknowns``."""
 
     model: Model
     timings: tuple[Timing, ...]  # one for each drive
+    mount: Mount
     names: tuple[str, ...]
     values: FloatArray  # (m,)
     covariance: FloatArray  # (m, m)
@@ -61,21 +68,17 @@ class Fit:
     converged: bool
     inflated: float  # factor on the variances by the scatter between blocks; 1 where the noise model explains it
 
+    @property
+    def told(self) -> np.ndarray:
+        """Which entries (m,) are worth telling: the model, the lag, the time offsets, and what else was estimated."""
+        always = np.array([n == "lag" or n.split(":")[0] == "time_offset" for n in self.names])
+        always[: len(self.model.PARAMETERS)] = True
+        return np.asarray(always | self.free)
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """One point of the search: all unknowns in a vector (m,), and how they map to model and timings."""
-
-    model: Model
-    x: FloatArray
-    drives: int
-
-    def at(self, x: FloatArray) -> _State:
-        return _State(self.model.with_theta(x[: len(self.model.theta)]), x, self.drives)
-
-    def timing(self, drive: int) -> Timing:
-        p = len(self.model.theta)
-        return Timing(float(self.x[p + 1 + drive]), float(self.x[p]))
+    def named(self, name: str) -> tuple[float, float]:
+        """Value and sigma of one unknown."""
+        i = self.names.index(name)
+        return float(self.values[i]), float(np.sqrt(self.covariance[i, i]))
 
 
 def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitOptions = FitOptions()) -> Fit:
@@ -92,36 +95,38 @@ def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitO
     """
     if not any(len(w) for w in windows):
         raise DataError(f"{drives[0].name}: wheels and reference share no stretch of time; check their clocks")
-    state, prior, free, limits = _start(model, drives, windows, options)
-    noise = options.noise or Noise()
+    start, free = _start(model, drives, windows, options)
+    turns = [Turn.of(d.gyro) if d.gyro is not None and options.use_gyro else None for d in drives]
+    problem = _Problem(drives, windows, turns, start, start.prior_sigma(drives), free, start.bounds(drives), options)
+    state, noise = start, options.noise or Noise()
     weights = [Weights.ones(len(w)) for w in windows]
-    problem = _Problem(drives, windows, prior, free, limits, state.x)
     count = 0
-    rough = replace(options, tolerance=ROUGH)
     for round_ in range(options.rounds):
-        state, moved, used = problem.gauss_newton(state, noise, weights, rough)
+        state, moved, used = problem.gauss_newton(state, noise, weights, ROUGH)
         count += used
         if round_ > 1 and moved < 2.0 * ROUGH:
             break
-        noise, weights = problem.reweighed(state, noise, weights, options)
-    state, _, used = problem.gauss_newton(state, noise, weights, options)
-    return problem.result(state, noise, weights, options, count + used, used < options.iterations)
+        noise, weights = problem.reweighed(state, noise, weights)
+    state, _, used = problem.gauss_newton(state, noise, weights, options.tolerance)
+    return problem.result(state, noise, weights, count + used, used < options.iterations)
 
 
 def _start(
     model: Model, drives: list[Drive], windows: list[Windows], options: FitOptions
-) -> tuple[_State, FloatArray, np.ndarray, FloatArray]:
-    p, n = len(model.theta), len(drives)
-    offsets = [
-        find_offset(model, drive, w, options.search) if options.time_offset is None else options.time_offset
-        for drive, w in zip(drives, windows, strict=True)
-    ]
-    x = np.concatenate([model.theta, [0.05 if options.lag is None else options.lag], offsets])
-    bounds = type(model).bounds(drives[0].vehicle)
-    prior = np.concatenate([(bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0), [0.5], np.full(n, 1.0)])
-    free = np.concatenate([np.full(p, not options.fix_model), [options.lag is None], np.full(n, options.time_offset is None)])
-    limits = np.concatenate([bounds, [[0.0, 2.0]], np.tile([-5.0, 5.0], (n, 1))])
-    return _State(model, x, n), prior, free, limits
+) -> tuple[Unknowns, np.ndarray]:
+    """Where the search begins, and which entries (m,) of it are free."""
+    own, free_own = [], []
+    for drive, w in zip(drives, windows, strict=True):
+        known = options.time_offset is not None
+        offset = options.time_offset if known else find_offset(model, drive, w, options.search)
+        with_gyro = drive.gyro is not None and options.use_gyro
+        gyro = rough_errors(drive.wheels, drive.gyro, model) if with_gyro and drive.gyro is not None else GyroErrors()
+        own += [offset, gyro.time_offset, gyro.bias, gyro.scale]
+        free_own += [not known, with_gyro, with_gyro, with_gyro]
+    mount = options.mount or Mount()
+    x = np.array([*model.theta, 0.05 if options.lag is None else options.lag, mount.x, mount.y, mount.yaw, *own])
+    shared = [not options.fix_model] * len(model.theta) + [options.lag is None] + [options.mount is None] * 3
+    return Unknowns(model, x, len(drives)), np.array(shared + free_own)
 
 
 def find_offset(
@@ -152,72 +157,102 @@ def _explained(a: FloatArray, b: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
+    """Drives, and what is searched for in them."""
+
     drives: list[Drive]
     windows: list[Windows]
+    turns: list[Turn | None]
+    start: Unknowns
     prior: FloatArray
     free: np.ndarray
     limits: FloatArray
-    x0: FloatArray
+    options: FitOptions
 
-    def residuals(self, state: _State) -> tuple[list[Residuals], list[FloatArray]]:
-        parts, jacobians = [], []
-        for i, (drive, windows) in enumerate(zip(self.drives, self.windows, strict=True)):
-            cut = steps(drive.wheels, windows, state.timing(i))
-            predicted, jacobian = linearize(state.model, cut)
-            parts.append(residuals(state.model, windows, cut, predicted))
-            jacobians.append(jacobian)
-        return parts, jacobians
+    def compare(self, state: Unknowns, i: int) -> tuple[Residuals, FloatArray, FloatArray]:
+        """Residuals of one drive, derivative (k, 3, f) of its predicted motions and (k, f) of its gyro residual.
+
+        Columns are the free ones of ``Unknowns.columns``.
+        """
+        drive, windows, timing, errors = self.drives[i], self.windows[i], state.timing(i), state.gyro(i)
+        cut = steps(drive.wheels, windows, timing)
+        motion, jacobian = linearize(state.model, cut)
+        p = state.p
+        seen, by_all = seen_by(state.mount, motion, jacobian[..., np.r_[0:p, p + 1, p]])
+        order = np.r_[0:p, p, p + 2 : p + 5, p + 1]  # parameters, lag, mount, time offset
+        by_all = np.concatenate([by_all[..., order], np.zeros((len(motion), 3, 3))], axis=-1)
+        turned, by_gyro = self._gyro(i, timing, errors, -by_all[:, 2])
+        free = self.free[state.columns(i)]
+        part = residuals(state.model, windows, cut, seen, turned)
+        return part, np.ascontiguousarray(by_all[..., free]), np.ascontiguousarray(by_gyro[:, free])
+
+    def _gyro(
+        self, i: int, timing: Timing, errors: GyroErrors, by_prediction: FloatArray
+    ) -> tuple[FloatArray | None, FloatArray]:
+        """Turn (k,) of the gyro over the windows, NaN where wheels or gyro are silent; derivative of its residual."""
+        turn, windows = self.turns[i], self.windows[i]
+        if turn is None:
+            return None, by_prediction
+        start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
+        slide = turn.rate_at(end, errors) - turn.rate_at(start, errors)
+        by = by_prediction.copy()
+        by[:, -4] -= slide
+        by[:, -3] += slide
+        by[:, -2] -= errors.scale * (end - start)
+        turned = turn.between(start, end, errors)
+        by[:, -1] += turned / errors.scale
+        known = turn.covers(start, end, errors) & covered(self.drives[i].wheels.t, start, end)
+        return np.where(known, turned, np.nan), by
 
     def information(
-        self, state: _State, noise: Noise, weights: list[Weights], block: float
+        self, state: Unknowns, noise: Noise, weights: list[Weights]
     ) -> tuple[FloatArray, FloatArray, float]:
-        """Gauss-Newton matrix (m, m), scores (blocks, m) and deviance at a state; no prior."""
-        m, p = len(state.x), len(state.model.theta)
-        H, scores, deviance = np.zeros((m, m)), [], 0.0
-        parts, jacobians = self.residuals(state)
-        for i, (part, jacobian) in enumerate(zip(parts, jacobians, strict=True)):
-            w, columns = part.windows, np.r_[0:p, p + 1 + i, p]
-            number = np.unique((w.start // block).astype(int), return_inverse=True)[1] if len(w) else np.zeros(0, int)
+        """Gauss-Newton matrix (f, f), scores (blocks, f) and deviance at a state, of the free unknowns; no prior."""
+        rank = np.cumsum(self.free) - 1
+        size = int(self.free.sum())
+        H, scores, deviance = np.zeros((size, size)), [], 0.0
+        for i, windows in enumerate(self.windows):
+            part, jacobian, by_gyro = self.compare(state, i)
+            number, count = _blocks(windows, self.options.block)
             h, s, d = chain.information(
-                w.motion,
-                w.joined,
+                windows.motion,
+                windows.joined,
                 part.residual,
-                np.ascontiguousarray(jacobian),
+                jacobian,
                 *part.covariances(noise, weights[i]),
+                part.gyro,
+                by_gyro,
+                noise.gyro**2 * part.gyro_time,
                 number,
-                int(number.max(initial=0)) + 1,
+                count,
             )
-            H[np.ix_(columns, columns)] += h
-            wide = np.zeros((len(s), m))
-            wide[:, columns] = s
+            columns = state.columns(i)
+            index = rank[columns[self.free[columns]]]
+            H[np.ix_(index, index)] += h
+            wide = np.zeros((len(s), size))
+            wide[:, index] = s
             scores.append(wide)
             deviance += d
         return H, np.concatenate(scores), deviance
 
     def gauss_newton(
-        self, state: _State, noise: Noise, weights: list[Weights], options: FitOptions
-    ) -> tuple[_State, float, int]:
+        self, state: Unknowns, noise: Noise, weights: list[Weights], tolerance: float
+    ) -> tuple[Unknowns, float, int]:
         """Levenberg-Marquardt for fixed noise and weights; returns the state, how far it moved in sigmas, the steps."""
-        begin, damping = state.x.copy(), 1e-6
-        weight = 1.0 / self.prior**2
-        H, scores, deviance = self.information(state, noise, weights, options.block)
-        cost = deviance + weight @ (state.x - self.x0) ** 2
+        free, weight = self.free, 1.0 / self.prior[self.free] ** 2
+        begin, origin, damping = state.x[free], self.start.x[free], 1e-6
+        H, scores, deviance = self.information(state, noise, weights)
+        cost = deviance + weight @ (begin - origin) ** 2
         steps_done = 0
-        while steps_done < options.iterations:
+        while steps_done < self.options.iterations:
             steps_done += 1
-            gradient = scores.sum(axis=0) - weight * (state.x - self.x0)
-            active = self._active(state.x, gradient)
-            full = H + np.diag(weight)
-            step = np.zeros_like(state.x)
-            damped = full[np.ix_(active, active)]
-            step[active] = np.linalg.solve(damped + damping * np.diag(np.diag(damped)), gradient[active])
-            x = np.clip(state.x + step, self.limits[:, 0], self.limits[:, 1])
-            x[~self.free] = state.x[~self.free]
-            sigma = np.sqrt(1.0 / np.diag(full))
-            small = bool((np.abs(x - state.x) < options.tolerance * sigma).all())
+            gradient = scores.sum(axis=0) - weight * (state.x[free] - origin)
+            step = self._step(state.x[free], H + np.diag(weight), gradient, damping)
+            x = state.x.copy()
+            x[free] = np.clip(state.x[free] + step, *self.limits[free].T)
+            small = bool((np.abs(x - state.x)[free] * np.sqrt(np.diag(H) + weight) < tolerance).all())
             trial = state.at(x)
-            H_new, scores_new, deviance_new = self.information(trial, noise, weights, options.block)
-            cost_new = deviance_new + weight @ (x - self.x0) ** 2
+            H_new, scores_new, deviance_new = self.information(trial, noise, weights)
+            cost_new = deviance_new + weight @ (x[free] - origin) ** 2
             if cost_new <= cost + 1e-9 * abs(cost):
                 state, H, scores, cost = trial, H_new, scores_new, cost_new
                 damping = max(damping * 0.1, 1e-9)
@@ -225,73 +260,79 @@ class _Problem:
                 damping = max(damping * 30.0, 1e-4)
             if small:
                 break
-        moved = np.abs(state.x - begin) * np.sqrt(np.diag(H) + weight)
-        return state, float(moved.max()), steps_done
+        moved = np.abs(state.x[free] - begin) * np.sqrt(np.diag(H) + weight)
+        return state, float(moved.max(initial=0.0)), steps_done
 
-    def _active(self, x: FloatArray, gradient: FloatArray) -> np.ndarray:
-        """Free unknowns that are not pressed against a limit."""
-        low = (x <= self.limits[:, 0]) & (gradient < 0)
-        high = (x >= self.limits[:, 1]) & (gradient > 0)
-        return np.asarray(self.free & ~low & ~high)
+    def _step(self, x: FloatArray, H: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+        """Damped step of the free unknowns that are not pressed against a limit."""
+        low, high = self.limits[self.free].T
+        active = ~((x <= low) & (gradient < 0)) & ~((x >= high) & (gradient > 0))
+        damped = H[np.ix_(active, active)]
+        step = np.zeros_like(x)
+        step[active] = np.linalg.solve(damped + damping * np.diag(np.diag(damped)), gradient[active])
+        return step
 
-    def reweighed(
-        self, state: _State, noise: Noise, weights: list[Weights], options: FitOptions
-    ) -> tuple[Noise, list[Weights]]:
-        parts, _ = self.residuals(state)
-        if options.noise is None:
+    def reweighed(self, state: Unknowns, noise: Noise, weights: list[Weights]) -> tuple[Noise, list[Weights]]:
+        """Noise and outlier weights that fit the residuals at a state."""
+        parts = [self.compare(state, i)[0] for i in range(len(self.drives))]
+        if self.options.noise is None:
             noise = fit_noise(parts, noise, weights)
-        if options.robust:
+        if self.options.robust:
             weights = reweigh(parts, noise)
-        if options.noise is None and options.robust:
-            noise = fit_noise(parts, noise, weights)
+            if self.options.noise is None:
+                noise = fit_noise(parts, noise, weights)
         return noise, weights
 
-    def result(
-        self,
-        state: _State,
-        noise: Noise,
-        weights: list[Weights],
-        options: FitOptions,
-        iterations: int,
-        converged: bool,
-    ) -> Fit:
-        H, scores, deviance = self.information(state, noise, weights, options.block)
-        covariance, inflated = self._covariance(H, scores)
-        offsets = ["time_offset"] if state.drives == 1 else [f"time_offset:{d.name}" for d in self.drives]
-        names = (*(q.name for q in state.model.PARAMETERS), "lag", *offsets)
-        timings = tuple(state.timing(i) for i in range(state.drives))
-        log.debug("%s: %d steps, deviance %.1f, %s", type(state.model).NAME, iterations, deviance, noise)
+    def result(self, state: Unknowns, noise: Noise, weights: list[Weights], iterations: int, converged: bool) -> Fit:
+        """The fit at a state that the search ended in."""
+        H, scores, deviance = self.information(state, noise, weights)
+        covariance = np.zeros((len(state.x), len(state.x)))
+        of_free, inflated = _covariance(H, scores, self.prior[self.free])
+        covariance[np.ix_(self.free, self.free)] = of_free
+        log.debug("%s: %d steps, deviance %.1f, %s", state.family.NAME, iterations, deviance, noise)
         return Fit(
-            state.model, timings, names, state.x, covariance, self.prior, self.free, noise, tuple(weights),
-            deviance, sum(map(len, self.windows)), iterations, converged, inflated,
-        )  # fmt: skip
-
-    def _covariance(self, H: FloatArray, scores: FloatArray) -> tuple[FloatArray, float]:
-        """Inverse information; replaced by the block sandwich where the scores scatter more than the noise explains.
-
-        With B independent blocks, sum of s^T H^-1 s is about p on average (chi-square with p degrees of freedom for
-        each of B sums of unequal weight); more than the 99.9 % quantile says that errors last longer than the model
-        of the noise thinks.
-        """
-        free = self.free
-        full = H + np.diag(1.0 / self.prior**2)
-        bread = np.linalg.inv(full[np.ix_(free, free)])
-        covariance = np.zeros_like(H)
-        covariance[np.ix_(free, free)] = bread
-        s, p = scores[:, free], int(free.sum())
-        blocks = int((np.abs(s).sum(axis=1) > 0).sum())
-        if p == 0 or blocks < 2 * p + 4:
-            return covariance, 1.0
-        meat = s.T @ s * blocks / (blocks - 1)
-        ratio = float(np.trace(bread @ meat)) / p
-        leverage = np.einsum("bi,ij,bj->b", s, bread, s)
-        effective = leverage.sum() ** 2 / max((leverage**2).sum(), 1e-300) * p
-        if ratio <= chi2.ppf(0.999, effective) / effective:
-            return covariance, 1.0
-        covariance[np.ix_(free, free)] = bread @ meat @ bread
-        return covariance, ratio
+            model=state.model,
+            timings=tuple(state.timing(i) for i in range(len(self.drives))),
+            mount=state.mount,
+            names=state.names(self.drives),
+            values=state.x,
+            covariance=covariance,
+            prior_sigma=self.prior,
+            free=self.free,
+            noise=noise,
+            weights=tuple(weights),
+            deviance=deviance,
+            windows=sum(map(len, self.windows)),
+            iterations=iterations,
+            converged=converged,
+            inflated=inflated,
+        )
 
 
-def fixed(options: FitOptions, timing: Timing) -> FitOptions:
-    """The same options with time offset and lag held at known values."""
-    return replace(options, time_offset=timing.time_offset, lag=timing.lag)
+def _blocks(windows: Windows, length: float) -> tuple[np.ndarray, int]:
+    """Number (k,) of the stretch of ``length`` [s] that each window begins in, and how many there are."""
+    if not len(windows):
+        return np.zeros(0, np.int64), 1
+    stretch, number = np.unique((windows.start // length).astype(np.int64), return_inverse=True)
+    return number, len(stretch)
+
+
+def _covariance(H: FloatArray, scores: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
+    """Inverse information; replaced by the block sandwich where the scores scatter more than the noise explains.
+
+    With independent blocks the sum of s^T H^-1 s has the number of unknowns p as its mean; it is a weighted sum of
+    chi-squares whose effective degrees of freedom follow from how evenly the blocks weigh. Above its 99.9 % quantile
+    errors last longer than the model of the noise thinks.
+    """
+    p = len(H)
+    bread: FloatArray = np.asarray(np.linalg.inv(H + np.diag(1.0 / prior**2)))
+    blocks = int((np.abs(scores).sum(axis=1) > 0).sum())
+    if p == 0 or blocks < 2 * p + 4:
+        return bread, 1.0
+    meat = scores.T @ scores * blocks / (blocks - 1)
+    ratio = float(np.trace(bread @ meat)) / p
+    leverage = np.einsum("bi,ij,bj->b", scores, bread, scores)
+    effective = leverage.sum() ** 2 / (leverage**2).sum() * p
+    if ratio <= chi2.ppf(0.999, effective) / effective:
+        return bread, 1.0
+    return np.asarray(bread @ meat @ bread), ratio

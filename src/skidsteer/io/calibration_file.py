@@ -52,6 +52,7 @@ class _Noise(_Strict):
     stamp: float
     walk: float
     turn: float
+    gyro: float
 
 
 class _Spread(_Strict):

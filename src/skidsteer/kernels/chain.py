@@ -8,6 +8,9 @@ seen in the body frame at k, and the residual r_k = z_k^-1 z_k+1 - T_k (in the f
 with E_k the rotation by the yaw of the window and G_k the effect of a start pose error on its end. That is a linear
 Kalman filter with the measurement 0 = d_k + e_k: its innovations are the residuals freed of the correlation that
 neighbouring windows have through the pose they share, and the same filter frees each column of the Jacobian.
+
+A gyro that tells the yaw of a window measures the yaw of w_k itself: g_k = w_k,yaw + n_k is its turn less that of T_k.
+It is taken into the prior of w_k before the window is chained, and counts in the likelihood by its own.
 """
 
 from __future__ import annotations
@@ -79,6 +82,9 @@ def information(
     process: FloatArray,
     noise_start: FloatArray,
     noise_end: FloatArray,
+    gyro: FloatArray,
+    gyro_jacobian: FloatArray,
+    gyro_variance: FloatArray,
     block: np.ndarray,
     blocks: int,
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -92,6 +98,9 @@ def information(
         process: (k, 3) variance of the motion in the body frame at its end.
         noise_start: (k, 3, 3) covariance of the pose a window begins with, body frame; used where it is not joined.
         noise_end: (k, 3, 3) covariance of the pose a window ends with, body frame.
+        gyro: (k,) turn that the gyro tells less the predicted yaw.
+        gyro_jacobian: (k, p) derivative of ``gyro``.
+        gyro_variance: (k,) of the gyro's turn; infinite where it tells nothing.
         block: (k,) number of the block that a window belongs to, below ``blocks``.
         blocks: how many blocks there are.
 
@@ -109,14 +118,22 @@ def information(
         np.zeros((3, 3)),
         np.zeros((3, 3)),
     )
-    Pm, white = np.zeros((3, 3)), np.zeros((3, p + 1))
-    column = np.zeros(3)
+    Pm, white = np.zeros((3, 3)), np.zeros((4, p + 1))
+    column, Q = np.zeros(3), np.zeros(3)
     for k in range(count):
         if not joined[k]:
             D[:] = 0.0
             P[:] = noise_start[k]
         c, s = _transition(motion[k], F)
-        _propagate(F, P, process[k], Pm)
+        Q[:] = process[k]
+        spread = Q[2] + gyro_variance[k]
+        told = spread < np.inf and spread > 0.0
+        share = Q[2] / spread if told else 0.0
+        if told:
+            Q[2] *= 1.0 - share
+            deviance += math.log(spread)
+        white[3] = 0.0
+        _propagate(F, P, Q, Pm)
         for i in range(3):
             for j in range(3):
                 S[i, j] = Pm[i, j] + noise_end[k, i, j]
@@ -131,6 +148,10 @@ def information(
             B[0], B[1], B[2] = c * u + s * v, -s * u + c * v, q
             for i in range(3):
                 column[i] = F[i, 0] * D[0, m] + F[i, 1] * D[1, m] + F[i, 2] * D[2, m] - B[i]
+            if told:
+                turn = gyro[k] if m == p else gyro_jacobian[k, m]
+                column[2] += share * turn
+                white[3, m] = turn / math.sqrt(spread)
             D[0, m], D[1, m], D[2, m] = column[0], column[1], column[2]
             _forward(L, column)
             for i in range(3):
@@ -140,10 +161,12 @@ def information(
             for j in range(3):
                 P[i, j] = Pm[i, j] - (K[i, 0] * K[j, 0] + K[i, 1] * K[j, 1] + K[i, 2] * K[j, 2])
         for m in range(p):
-            scores[block[k], m] -= white[0, m] * white[0, p] + white[1, m] * white[1, p] + white[2, m] * white[2, p]
-            for n in range(m + 1):
-                H[m, n] += white[0, m] * white[0, n] + white[1, m] * white[1, n] + white[2, m] * white[2, n]
-        deviance += white[0, p] ** 2 + white[1, p] ** 2 + white[2, p] ** 2
+            for i in range(4):
+                scores[block[k], m] -= white[i, m] * white[i, p]
+                for n in range(m + 1):
+                    H[m, n] += white[i, m] * white[i, n]
+        for i in range(4):
+            deviance += white[i, p] ** 2
     for m in range(p):
         for n in range(m):
             H[n, m] = H[m, n]
@@ -158,6 +181,8 @@ def smooth(
     process: FloatArray,
     noise_start: FloatArray,
     noise_end: FloatArray,
+    gyro: FloatArray,
+    gyro_variance: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Most probable errors given the whole chain: of start poses (k, 3), end poses (k, 3) and motions (k, 3).
 
@@ -168,15 +193,19 @@ def smooth(
     d, dm = np.zeros((count, 3)), np.zeros((count, 3))  # filtered state at the end; predicted before its measurement
     P, Pm, F = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
     L, K, S, P0, column = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
-    b = np.zeros((count, 3))
+    b, Q = np.zeros((count, 3)), np.zeros(3)
     for k in range(count):
+        Q[:] = process[k]
+        spread = Q[2] + gyro_variance[k]
+        share = Q[2] / spread if spread < np.inf and spread > 0.0 else 0.0
+        Q[2] *= 1.0 - share
         before = np.zeros(3)
         P0[:] = noise_start[k]
         if joined[k]:
             before[:] = d[k - 1]
             P0[:] = P[k - 1]
         c, s = _transition(motion[k], F[k])
-        _propagate(F[k], P0, process[k], Pm[k])
+        _propagate(F[k], P0, Q, Pm[k])
         for i in range(3):
             for j in range(3):
                 S[i, j] = Pm[k, i, j] + noise_end[k, i, j]
@@ -186,6 +215,8 @@ def smooth(
         b[k, 0], b[k, 1], b[k, 2] = c * u + s * v, -s * u + c * v, residual[k, 2]
         for i in range(3):
             dm[k, i] = F[k, i, 0] * before[0] + F[k, i, 1] * before[1] + F[k, i, 2] * before[2] - b[k, i]
+            if i == 2:
+                dm[k, i] += share * gyro[k]
             column[i] = dm[k, i]
         _forward(L, column)
         for i in range(3):
