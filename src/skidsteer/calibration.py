@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skidsteer.metrics import Spread, WindowErrors
-from skidsteer.models import Model
+from skidsteer.models import MatrixModel, Model
 from skidsteer.noise import Noise
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import Vehicle
-from skidsteer.windows import Timing
+from skidsteer.windows import Mount, Timing
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,8 @@ class HeldOut:
     @classmethod
     def of(cls, errors: WindowErrors) -> HeldOut:
         """Figures of window errors; the gyro's only where there is one."""
-        gyro = Spread.of(np.degrees(errors.yaw_gyro)) if len(errors.yaw_gyro) else None
-        count = max(len(errors.translation), len(errors.yaw_gyro))
-        return cls(count, Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro)
+        gyro = Spread.of(np.degrees(errors.yaw_gyro)) if np.isfinite(errors.yaw_gyro).any() else None
+        return cls(len(errors), Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +103,24 @@ class Calibration:
     def nuisance(self) -> dict[str, Estimate]:
         """Estimates of what is not the robot's motion: lag and time offsets."""
         return {name: e for name, e in self.estimates.items() if name not in self.parameters}
+
+    @property
+    def effective_track_width(self) -> Estimate | None:
+        """Width [m] of the differential drive that turns on the spot like this; None where that is not constant."""
+        if not isinstance(self.model, MatrixModel):
+            return None
+        A, jacobian = self.model.matrix(), self.model.matrix_jacobian()
+        width = 2.0 / float(A[2, 1] - A[2, 0])
+        slope = -0.5 * width**2 * (jacobian[2, 1] - jacobian[2, 0])
+        index = [self.names.index(name) for name in self.parameters]
+        variance = float(slope @ self.covariance[np.ix_(index, index)] @ slope)
+        return Estimate(width, float(np.sqrt(max(variance, 0.0))), "m")
+
+    @property
+    def mount(self) -> Mount:
+        """Where the reference's sensor sat; the origin where that was not estimated."""
+        known = {name: e.value for name, e in self.estimates.items() if name.startswith("mount_")}
+        return Mount(*(known.get(f"mount_{axis}", 0.0) for axis in ("x", "y", "yaw")))
 
     @property
     def timing(self) -> Timing:

@@ -35,6 +35,7 @@ def calibrate(
     window: Window = 2.0,
     time_offset: Offset = None,
     lag: Lag = None,
+    mount: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]|free", help="of the reference [m, rad]")] = None,
     seed: Annotated[int, typer.Option(help="of the genetic search")] = 0,
     json: Json = False,
 ) -> None:
@@ -45,7 +46,7 @@ def calibrate(
     from skidsteer.io.calibration_file import save_calibration
     from skidsteer.io.drives import load_drives
 
-    options = make_options(model, method, window, seed, time_offset, lag)
+    options = make_options(model, method, window, seed, time_offset, lag, mount)
     with console.progress_bar() as report:
         calibration = calibrate_drives(load_drives(drives, _vehicle(vehicle)), options=options, progress=report)
     if out is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -37,6 +38,10 @@ def show_calibration(calibration: Calibration) -> None:
     drives = ", ".join(d.name for d in calibration.provenance.drives)
     OUT.print(f"[bold]{escape(calibration.vehicle.name)}[/bold] from {escape(drives)}: model {calibration.model.NAME}")
     OUT.print(_parameters(calibration))
+    if width := calibration.effective_track_width:
+        OUT.print(
+            f"Effective track width {' +- '.join(_numbers(width))} m, nominal {calibration.vehicle.track_width:g} m."
+        )
     if calibration.held_out:
         OUT.print(_errors(calibration.held_out, "held-out error", chosen=calibration.model.NAME))
         OUT.print(before_after(calibration))
@@ -50,6 +55,11 @@ def before_after(calibration: Calibration) -> str:
     before = calibration.held_out["differential"]
     after = calibration.held_out[calibration.model.NAME]
     length = calibration.provenance.options.get("window")
+    if before.yaw_gyro_deg and after.yaw_gyro_deg and not np.isfinite(after.translation_m.rms):
+        return (
+            f"Before: the turn over windows of {length} s is off by {before.yaw_gyro_deg.rms:.1f} deg against the gyro"
+            f" (RMS, nominal track width). After: {after.yaw_gyro_deg.rms:.1f} deg."
+        )
     return (
         f"Before: dead reckoning over windows of {length} s is off by {before.translation_m.rms:.3f} m and"
         f" {before.yaw_deg.rms:.1f} deg (RMS, nominal track width)."
@@ -82,13 +92,17 @@ def _errors(figures: Mapping[str, HeldOut], title: str, chosen: str = "", count:
         table.add_column("vs gyro")
     for name, h in figures.items():
         t, y = h.translation_m, h.yaw_deg
-        row = [escape(name), str(h.windows), *(f"{v:.3f}" for v in (t.median, t.rms, t.p95))]
-        row += [f"{v:.2f}" for v in (y.median, y.rms, y.p95)]
+        row = [escape(name), str(h.windows), *(_figure(v, 3) for v in (t.median, t.rms, t.p95))]
+        row += [_figure(v, 2) for v in (y.median, y.rms, y.p95)]
         row += [f"{h.yaw_gyro_deg.median:.2f}" if h.yaw_gyro_deg else "-"] if gyro else []
         table.add_row(*row, style="bold" if name == chosen else None)
     for column in table.columns[1:]:
         column.justify = "right"
     return table
+
+
+def _figure(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "-"
 
 
 def show_evaluation(evaluation: Evaluation) -> None:
@@ -101,7 +115,9 @@ def show_evaluation(evaluation: Evaluation) -> None:
     OUT.print(f"Time offset used: {offsets}.")
 
 
-def _excess(e: Excess) -> str:
+def _excess(e: Excess | None) -> str:
+    if e is None:
+        return "-"
     return f"{100 * e.share:+.0f} % ({100 * e.low:+.0f} to {100 * e.high:+.0f} %)"
 
 

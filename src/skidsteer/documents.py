@@ -16,10 +16,12 @@ Document = dict[str, Any]
 
 def calibration_document(calibration: Calibration) -> Document:
     """What ``calibrate --json`` prints."""
+    width = calibration.effective_track_width
     return {
         "model": calibration.model.NAME,
         "parameters": {name: _estimate(e) for name, e in calibration.parameters.items()},
         "nuisance": {name: _estimate(e) for name, e in calibration.nuisance.items()},
+        "derived": {"effective_track_width": _estimate(width)} if width else {},
         "noise": asdict(calibration.noise),
         "method": calibration.method,
         "selected_because": calibration.selected_because,

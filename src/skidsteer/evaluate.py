@@ -41,10 +41,10 @@ def evaluate(
     offsets: dict[str, float] = {}
     for drive in drives:
         timing = calibration.timing
-        if fit_delay and drive.pose is not None:
+        if fit_delay and drive.reference is not None:
             timing = replace(timing, time_offset=fit_offset(calibration, drive))
-        errors = window_errors(calibration.model, drive, timing, length)
-        if not len(errors.translation) and not len(errors.yaw_gyro):
+        errors = window_errors(calibration.model, drive, timing, length, calibration.mount)
+        if not len(errors):
             raise DataError(
                 f"{drive.name}: no window of {length:g} s in which wheels and reference are there and the robot moves"
             )
@@ -56,5 +56,5 @@ def evaluate(
 
 def fit_offset(calibration: Calibration, drive: Drive) -> float:
     """Time offset [s] of a drive with reference poses, by maximum likelihood with model and lag as they are."""
-    options = FitOptions(lag=calibration.timing.lag, fix_model=True)
+    options = FitOptions(lag=calibration.timing.lag, mount=calibration.mount, fix_model=True)
     return fit(calibration.model, [drive], [increment_windows(drive)], options).timings[0].time_offset

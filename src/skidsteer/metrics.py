@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from skidsteer.drive import Drive
 from skidsteer.gyro import GyroErrors, Turn, rough_errors
 from skidsteer.models import Model
-from skidsteer.se2 import FloatArray, chain, wrap
-from skidsteer.windows import Timing, Windows, judging_pairs, judging_windows, predict, stretches
+from skidsteer.se2 import FloatArray, chain, compose, wrap
+from skidsteer.windows import Mount, Timing, Windows, judging_windows, predict, stretches
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,52 +23,63 @@ class Spread:
 
     @classmethod
     def of(cls, errors: FloatArray) -> Spread:
-        """Of errors (k,); NaN throughout where there is none."""
-        if not len(errors):
+        """Of errors (k,), leaving out NaN; NaN throughout where none is left."""
+        size = np.abs(errors[np.isfinite(errors)])
+        if not len(size):
             return cls(float("nan"), float("nan"), float("nan"))
-        size = np.abs(errors)
         return cls(float(np.median(size)), float(np.sqrt(np.mean(size**2))), float(np.quantile(size, 0.95)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowErrors:
-    """Errors of a prediction on the windows of drives."""
+    """Errors of a prediction on the windows of drives; NaN where the drive cannot tell."""
 
-    start: FloatArray  # (k,) [s] when each window starts, on its drive's reference clock
+    start: FloatArray  # (k,) [s] of each window, on its drive's reference clock
+    end: FloatArray  # (k,) [s]
     translation: FloatArray  # (k,) [m] end position; without heading the RMS distance after rigid alignment
-    yaw: FloatArray  # (k,) [rad] end yaw, wrapped; empty without heading
-    yaw_gyro: FloatArray  # (g,) [rad] turned angle against the integrated gyro; empty without a gyro
+    yaw: FloatArray  # (k,) [rad] end yaw, wrapped; needs a heading
+    yaw_gyro: FloatArray  # (k,) [rad] turned angle against the integrated gyro; needs a gyro
 
     def __len__(self) -> int:
-        return len(self.translation)
+        return len(self.start)
 
     def where(self, keep: np.ndarray) -> WindowErrors:
         """Only the windows of a mask (k,)."""
-        parts = (a[keep] if len(a) == len(keep) else a for a in (self.translation, self.yaw, self.yaw_gyro))
-        return WindowErrors(self.start[keep], *parts)
+        return WindowErrors(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     @staticmethod
     def join(parts: list[WindowErrors]) -> WindowErrors:
         """Errors of several drives or folds, one after the other."""
-        fields = ("start", "translation", "yaw", "yaw_gyro")
-        return WindowErrors(*(np.concatenate([getattr(p, f) for p in parts] or [np.zeros(0)]) for f in fields))
+        names = [f.name for f in fields(WindowErrors)]
+        return WindowErrors(*(np.concatenate([getattr(p, name) for p in parts] or [np.zeros(0)]) for name in names))
 
 
 def window_errors(
-    model: Model, drive: Drive, timing: Timing, length: float = 2.0, windows: Windows | None = None
+    model: Model, drive: Drive, timing: Timing, length: float = 2.0, mount: Mount | None = None
 ) -> WindowErrors:
-    """Errors of a model on the judging windows of a drive (or on given windows).
+    """Errors of a model on the judging windows of a drive.
 
     A drive with reference poses is judged at the end of each window; one with positions only along each window after
     the best rigid alignment; a gyro-only drive by its turned angle.
+
+    Args:
+        model: that predicts.
+        drive: with wheels and a reference or a gyro.
+        timing: of the reference against the wheels.
+        length: of the windows [s].
+        mount: of the reference's sensor; None: at the origin.
     """
-    if drive.pose is None:
-        return _position_errors(model, drive, timing, length)
-    windows = judging_windows(drive, length) if windows is None else windows
-    predicted = predict(model, drive.wheels, windows, timing)
-    error = windows.motion - predicted
-    gyro = _gyro_errors(model, drive, timing, windows) if drive.gyro is not None and len(windows) else np.zeros(0)
-    return WindowErrors(windows.start, np.hypot(error[:, 0], error[:, 1]), wrap(error[:, 2]), gyro)
+    windows = judging_windows(drive, length)
+    seen = (mount or Mount()).seen(predict(model, drive.wheels, windows, timing))
+    translation = yaw = gyro = np.full(len(windows), np.nan)
+    if windows.sees == "pose":
+        error = windows.motion - seen
+        translation, yaw = np.hypot(error[:, 0], error[:, 1]), wrap(error[:, 2])
+    elif windows.sees == "position":
+        translation = _position_errors(model, drive, timing, windows, mount or Mount())
+    if drive.gyro is not None and len(windows):
+        gyro = _gyro_errors(model, drive, timing, windows)
+    return WindowErrors(windows.start, windows.end, translation, yaw, gyro)
 
 
 def _gyro_errors(model: Model, drive: Drive, timing: Timing, windows: Windows) -> FloatArray:
@@ -86,24 +97,19 @@ def _gyro_errors(model: Model, drive: Drive, timing: Timing, windows: Windows) -
     return np.asarray(turned - turn.between(start, end, errors))
 
 
-def _position_errors(model: Model, drive: Drive, timing: Timing, length: float) -> WindowErrors:
-    t = drive.position.t if drive.position is not None else np.arange(*drive.span, min(length, 0.1))
-    pairs = judging_pairs(drive, t, length)
-    if drive.position is None:
-        windows = Windows(t[pairs[:, 0]], t[pairs[:, 1]], np.zeros((len(pairs), 3)), np.zeros(len(pairs), bool))
-        gyro = _gyro_errors(model, drive, Timing(0.0, timing.lag), windows)
-        return WindowErrors(windows.start, np.zeros(0), np.zeros(0), gyro)
-    starts, errors = [], []
-    xy = drive.position.values
-    for i, j in pairs:
-        moved = float(np.hypot(*(xy[j] - xy[i])))
-        if t[j] - t[i] < min(1.0, 0.5 * length) or moved < 0.1 or j - i < 2:
+def _position_errors(model: Model, drive: Drive, timing: Timing, windows: Windows, mount: Mount) -> FloatArray:
+    """RMS distance (k,) [m] along each window between predicted and measured positions after rigid alignment."""
+    assert drive.position is not None
+    t, errors = drive.position.t, np.full(len(windows), np.nan)
+    for k, (start, end) in enumerate(zip(windows.start, windows.end, strict=True)):
+        i, j = np.searchsorted(t, [start, end])
+        if j - i < 2:
             continue
         inner = Windows(t[i:j], t[i + 1 : j + 1], np.zeros((j - i, 3)), np.ones(j - i, bool))
-        path = chain(predict(model, drive.wheels, inner, timing))[:, :2]
-        starts.append(t[i])
-        errors.append(aligned_rms(path, xy[i : j + 1]))
-    return WindowErrors(np.array(starts), np.array(errors), np.zeros(0), np.zeros(0))
+        body = chain(predict(model, drive.wheels, inner, timing))
+        path = compose(body, [mount.x, mount.y, mount.yaw])[:, :2]
+        errors[k] = aligned_rms(path, drive.position.values[i : j + 1])
+    return errors
 
 
 def aligned_rms(path: FloatArray, reference: FloatArray) -> float:

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from skidsteer.kernels import chain
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray, wrap
-from skidsteer.windows import Steps, Windows
+from skidsteer.windows import Sees, Steps, Windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,9 @@ class Residuals:
         """Variance of the motion (k, 3), covariance of start and end pose (k, 3, 3), for ``kernels.chain``."""
         growth = np.array([noise.walk**2, noise.walk**2, noise.turn**2])
         process = self.rolled[:, None] * growth / weights.motion[:, None]
-        start = _pose_covariance(noise, self.start_twist) / weights.start[:, None, None]
-        end = _pose_covariance(noise, self.end_twist) / weights.end[:, None, None]
+        sees = self.windows.sees
+        start = _pose_covariance(noise, self.start_twist, sees) / weights.start[:, None, None]
+        end = _pose_covariance(noise, self.end_twist, sees) / weights.end[:, None, None]
         return process, start, end
 
 
@@ -95,8 +96,13 @@ def residuals(
     return Residuals(windows, residual, rolled, first, last, np.where(speaks, gyro, 0.0), gyro_time)
 
 
-def _pose_covariance(noise: Noise, twist: FloatArray) -> FloatArray:
-    fixed = np.diag([noise.position**2, noise.position**2, noise.yaw**2])
+BLIND = (1e3, 10.0)  # [m], [rad]: sigma of what a reference does not tell
+
+
+def _pose_covariance(noise: Noise, twist: FloatArray, sees: Sees) -> FloatArray:
+    position = BLIND[0] if sees == "turn" else noise.position
+    yaw = noise.yaw if sees == "pose" else BLIND[1]
+    fixed = np.diag([position**2, position**2, yaw**2])
     return fixed + noise.stamp**2 * twist[:, :, None] * twist[:, None, :]
 
 
@@ -151,6 +157,15 @@ def _middle(part: Residuals, weights: Weights, most: int) -> tuple[Residuals, We
 OUTLIER = 16.27  # squared distance in three dimensions that one sample in a thousand exceeds
 
 
+def smoothed(part: Residuals, noise: Noise, weights: Weights) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Most probable errors (k, 3) of start poses, end poses and motions of one drive, see ``kernels.chain.smooth``."""
+    process, noise_start, noise_end = part.covariances(noise, weights)
+    known = (part.windows.motion, part.windows.joined, part.residual)
+    gyro = (part.gyro, noise.gyro**2 * part.gyro_time)
+    start, end, moved = chain.smooth(*known, process, noise_start, noise_end, *gyro)
+    return start, end, moved
+
+
 def reweigh(parts: list[Residuals], noise: Noise) -> list[Weights]:
     """Weights from the most probable errors: 1 for all that the noise explains, falling as 1 / distance^2 beyond.
 
@@ -161,9 +176,7 @@ def reweigh(parts: list[Residuals], noise: Noise) -> list[Weights]:
     for part in parts:
         ones = Weights.ones(len(part.residual))
         process, noise_start, noise_end = part.covariances(noise, ones)
-        known = (part.windows.motion, part.windows.joined, part.residual)
-        gyro = (part.gyro, noise.gyro**2 * part.gyro_time)
-        start, end, moved = chain.smooth(*known, process, noise_start, noise_end, *gyro)
+        start, end, moved = smoothed(part, noise, ones)
         distances = (
             np.einsum("ki,kij,kj->k", start, np.linalg.inv(noise_start), start),
             np.einsum("ki,kij,kj->k", end, np.linalg.inv(noise_end), end),

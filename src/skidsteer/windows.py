@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from skidsteer.se2 import FloatArray, between, compose, rotate
 
 MAX_GAP = 1.0  # [s] without a wheel sample: nothing is known of the motion beyond
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
+TURN_SPACING = 0.5  # [s] of windows over which a gyro alone is compared
 CHUNK = 200_000  # steps handled at once for models that are not linear in the speeds: bounds the memory
 
 
@@ -51,6 +53,9 @@ class Mount:
         return between(np.broadcast_to(here, motion.shape), compose(motion, here))
 
 
+Sees = Literal["pose", "position", "turn"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
     """Measured motions between two reference stamps of one drive.
@@ -63,6 +68,7 @@ class Windows:
     end: FloatArray  # (k,)
     motion: FloatArray  # (k, 3) pose at the end seen from the pose at the start
     joined: np.ndarray  # (k,) bool
+    sees: Sees = "pose"  # position: the yaw of ``motion`` is a guess; turn: ``motion`` tells nothing, a gyro may
 
     def __len__(self) -> int:
         return len(self.start)
@@ -71,7 +77,7 @@ class Windows:
         """The windows chosen by a mask (k,); a window whose predecessor is dropped is no longer joined."""
         index = np.flatnonzero(keep)
         joined = self.joined[index] & np.concatenate([[False], np.diff(index) == 1])
-        return Windows(self.start[index], self.end[index], self.motion[index], joined)
+        return Windows(self.start[index], self.end[index], self.motion[index], joined, self.sees)
 
 
 def pieces(drive: Drive) -> FloatArray:
@@ -102,12 +108,30 @@ def covered(t: FloatArray, start: FloatArray, end: FloatArray) -> np.ndarray:
 
 
 def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) -> Windows:
-    """Windows between neighbouring reference poses, of those at least ``spacing`` [s] apart; none above ``longest``."""
-    pose = _pose(drive)
-    index = [_thinned(pose.t, _inside(pose.t, piece), spacing) for piece in pieces(drive)]
+    """Windows between neighbouring samples of the reference at least ``spacing`` [s] apart; none above ``longest``.
+
+    Where the reference tells no heading, the yaw of the motions is zero and their positions are along the axes of the
+    reference. Where a gyro is all there is, windows of ``TURN_SPACING`` or more follow each other on its clock.
+    """
+    sees, reference = _reference(drive, spacing)
+    index = [_thinned(reference.t, _inside(reference.t, piece), spacing) for piece in pieces(drive)]
     pairs = np.concatenate([np.stack([i[:-1], i[1:]], axis=1) for i in index if len(i) > 1] or [np.zeros((0, 2), int)])
-    windows = _windows(pose, pairs)
+    windows = _windows(reference, pairs, sees)
     return windows.where(windows.end - windows.start <= longest)
+
+
+def _reference(drive: Drive, spacing: float = 0.0) -> tuple[Sees, Series]:
+    """What the reference sees, and its samples as poses, zero where unknown."""
+    if drive.pose is not None:
+        return "pose", drive.pose
+    if drive.position is not None:
+        yaw = np.zeros((len(drive.position), 1))
+        return "position", Series(drive.position.t, np.hstack([drive.position.values, yaw]), "position")
+    if drive.gyro is None:
+        raise ValueError(f"{drive.name} has no reference")
+    first, last = max(drive.span[0], drive.gyro.t[0]), min(drive.span[1], drive.gyro.t[-1])
+    t = np.arange(first, max(last, first + 1e-3), max(spacing, TURN_SPACING))
+    return "turn", Series(t, np.zeros((len(t), 3)), "gyro")
 
 
 def judging_windows(
@@ -117,12 +141,13 @@ def judging_windows(
 
     A window starts at a reference pose and ends at the last one no more than ``length`` [s] later; they do not
     overlap. It counts when it is at least ``shortest`` long (half of ``length`` where that is less) and the reference
-    moved by ``least_move`` [m, rad]. In a drive with segments each segment is one window, whatever its length.
+    moved by ``least_move`` [m, rad]. In a drive with segments each segment is one window, whatever its length. Where a
+    gyro is all there is, every window counts.
     """
-    pose = _pose(drive)
-    windows = _windows(pose, judging_pairs(drive, pose.t, length))
+    sees, reference = _reference(drive)
+    windows = _windows(reference, judging_pairs(drive, reference.t, length), sees)
     span, moved = windows.end - windows.start, np.abs(windows.motion)
-    moves = (np.hypot(moved[:, 0], moved[:, 1]) >= least_move[0]) | (moved[:, 2] >= least_move[1])
+    moves = (np.hypot(moved[:, 0], moved[:, 1]) >= least_move[0]) | (moved[:, 2] >= least_move[1]) | (sees == "turn")
     return windows.where(moves & (span >= min(shortest, 0.5 * length)))
 
 
@@ -145,12 +170,6 @@ def judging_pairs(drive: Drive, t: FloatArray, length: float) -> np.ndarray:
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
-def _pose(drive: Drive) -> Series:
-    if drive.pose is None:
-        raise ValueError(f"{drive.name} has no reference poses")
-    return drive.pose
-
-
 def _inside(t: FloatArray, piece: FloatArray) -> np.ndarray:
     first, last = np.searchsorted(t, [piece[0], np.nextafter(piece[1], np.inf)])
     return np.arange(first, last)
@@ -169,10 +188,10 @@ def _thinned(t: FloatArray, index: np.ndarray, spacing: float) -> np.ndarray:
     return np.array(kept)
 
 
-def _windows(pose: Series, pairs: np.ndarray) -> Windows:
+def _windows(pose: Series, pairs: np.ndarray, sees: Sees) -> Windows:
     i, j = pairs[:, 0], pairs[:, 1]
     joined = np.concatenate([[False], i[1:] == j[:-1]]) if len(pairs) else np.zeros(0, bool)
-    return Windows(pose.t[i], pose.t[j], between(pose.values[i], pose.values[j]), joined)
+    return Windows(pose.t[i], pose.t[j], between(pose.values[i], pose.values[j]), joined, sees)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

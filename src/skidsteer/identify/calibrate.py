@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
 from typing import Literal, cast
@@ -20,10 +20,12 @@ from skidsteer.identify.select import Selection, select
 from skidsteer.identify.spacing import choose_spacing
 from skidsteer.identify.unknowns import UNITS
 from skidsteer.models import MODELS
-from skidsteer.windows import increment_windows, pieces
+from skidsteer.windows import Mount, increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
+SYMMETRIC = ("differential", "multiplier", "icr_symmetric")  # about the origin
+YAW_ONLY = ("differential", "multiplier")  # all that a gyro alone can tell apart
 DETERMINED = 0.25  # a sigma above this share of what was known before the drive: not determined
 LEAST_MOVE = 0.5  # [m] rolled in all, below which there is nothing to calibrate
 Progress = Callable[[str, int, int], None]  # what is being done, steps done, steps in all
@@ -37,6 +39,7 @@ class CalibrateOptions:
     method: Method = "least-squares"
     window: float = 2.0  # [s] length of the judging windows
     seed: int = 0  # of the genetic search
+    mount: Mount | Literal["free"] | None = None  # of the reference's sensor; None: see ``mounting``
     spacing: float | None = None  # [s] least distance of reference poses used; None: chosen by the drives
     fit: FitOptions = field(default_factory=FitOptions)
 
@@ -58,7 +61,7 @@ def calibrate(
     """Calibrate a motion model from one drive or several of the same robot.
 
     Args:
-        drive: with wheels and reference poses; each has its own time offset, all share model and lag.
+        drive: with wheels and any reference; each has its own time offset, all share model, lag and mounting.
         model: name of a model, or auto. Ignored where ``options`` are given.
         options: everything that can be chosen.
         progress: called as work goes on.
@@ -72,10 +75,9 @@ def calibrate(
     for d in drives:
         _usable(d)
     _tell(progress, "looking at the reference", 0, 1)
-    spacing = choose_spacing(drives, options.fit) if options.spacing is None else options.spacing
-    windows = [increment_windows(d, spacing) for d in drives]
-    options = replace(options, spacing=spacing)
-    names = list(MODELS) if options.model == "auto" else sorted({*BASELINES, options.model}, key=list(MODELS).index)
+    options = _settled(drives, options)
+    windows = [increment_windows(d, options.spacing or 0.0) for d in drives]
+    names = candidates(drives, options)
     judged = judge_models(names, drives, options, progress)
     chosen, because = _choose(options, judged)
     _tell(progress, f"fitting {chosen}", len(names), len(names) + 1)
@@ -101,6 +103,48 @@ def calibrate(
     )
 
 
+def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) -> Mount | None:
+    """Where the reference's sensor sits; None: to be estimated.
+
+    Unless told, a reference with heading is taken to be of base_link, and a single antenna or prism to be somewhere.
+    Motion alone cannot tell where the sensor sits from where the ICRs are: only with a mounting that is given can the
+    full ICR model be found, else it is estimated together with a model that is symmetric about the origin.
+    """
+    if isinstance(wanted, Mount):
+        return wanted
+    positions = any(d.pose is None and d.position is not None for d in drives)
+    return None if wanted == "free" or positions else Mount()
+
+
+def candidates(drives: Sequence[Drive], options: CalibrateOptions) -> list[str]:
+    """Names of the models that the reference can tell apart, from the simplest; with the one asked for.
+
+    Raises:
+        RequestError: the model asked for needs a mounting that is known.
+    """
+    able = list(MODELS)
+    if options.fit.mount is None:
+        able = [name for name in able if name in SYMMETRIC]
+    if all(d.reference is None for d in drives):
+        able = [name for name in able if name in YAW_ONLY]
+    if options.model == "auto":
+        return able
+    if options.fit.mount is None and options.model not in able:
+        raise RequestError(
+            f"{options.model} is not symmetric about the origin and needs to know where on the robot the reference is;"
+            f" give --mount X,Y, or choose one of {', '.join(able)}"
+        )
+    return sorted({*(name for name in BASELINES if name in able), options.model}, key=list(MODELS).index)
+
+
+def _settled(drives: list[Drive], options: CalibrateOptions) -> CalibrateOptions:
+    """The same options with mounting and spacing settled by the drives."""
+    options = replace(options, fit=replace(options.fit, mount=mounting(drives, options.mount)))
+    if options.spacing is not None:
+        return options
+    return replace(options, spacing=choose_spacing(drives, options.fit))
+
+
 def judge_models(
     names: Sequence[str], drives: list[Drive], options: CalibrateOptions, progress: Progress | None = None
 ) -> dict[str, HeldOutErrors]:
@@ -123,32 +167,33 @@ def _tell(progress: Progress | None, what: str, done: int, total: int) -> None:
 
 def _usable(drive: Drive) -> None:
     """Refuse a drive that cannot be calibrated from."""
-    if drive.pose is None:
-        has = "positions without heading" if drive.position is not None else "no reference"
-        raise DataError(f"{drive.name}: has {has}; calibration needs reference poses (pose.csv: t, x, y, yaw)")
-    if not len(pieces(drive)) or not len(windows := increment_windows(drive)):
-        a, b = drive.pose.t[[0, -1]]
+    reference = drive.reference or drive.gyro
+    if reference is None:
         raise DataError(
-            f"{drive.name}: wheels ({drive.span[0]:.1f} to {drive.span[1]:.1f} s) and reference ({a:.1f} to {b:.1f} s)"
-            " share no time with two reference poses in it; bring them onto one clock"
+            f"{drive.name}: has no reference; add pose.csv (t, x, y, yaw), position.csv or imu.csv (gyro_z)"
         )
-    rolled = np.abs(drive.wheels.values[:-1]).mean(axis=1) @ np.minimum(np.diff(drive.wheels.t), 1.0)
-    moved = np.abs(windows.motion[:, :2]).sum() + np.abs(windows.motion[:, 2]).sum()
-    if rolled < LEAST_MOVE or moved < 0.2 * LEAST_MOVE:
-        what = "wheels" if rolled < LEAST_MOVE else "reference"
+    if not len(pieces(drive)) or not len(windows := increment_windows(drive)):
+        a, b = reference.t[[0, -1]]
         raise DataError(
-            f"{drive.name}: the robot stands still (the {what} moved by {min(rolled, moved):.2f} m in all);"
+            f"{drive.name}: wheels ({drive.span[0]:.1f} to {drive.span[1]:.1f} s) and {reference.name} ({a:.1f} to"
+            f" {b:.1f} s) share no time with two reference samples in it; bring them onto one clock"
+        )
+    rolled = float(np.abs(drive.wheels.values[:-1]).mean(axis=1) @ np.minimum(np.diff(drive.wheels.t), 1.0))
+    moved = rolled if windows.sees == "turn" else float(np.abs(windows.motion).sum())
+    if rolled < LEAST_MOVE or moved < 0.2 * LEAST_MOVE:
+        what, much = ("wheels", rolled) if rolled < LEAST_MOVE else ("reference", moved)
+        raise DataError(
+            f"{drive.name}: the robot stands still (the {what} moved by {much:.2f} m in all);"
             " record a drive with straights and turns both ways"
         )
-    if windows.end[-1] - windows.start[0] < 2.0 * 2.0:
-        raise DataError(
-            f"{drive.name}: only {windows.end[-1] - windows.start[0]:.1f} s of reference; at least 4 s needed"
-        )
+    span = windows.end[-1] - windows.start[0]
+    if span < 4.0:
+        raise DataError(f"{drive.name}: only {span:.1f} s of reference; at least 4 s needed")
 
 
 def _choose(options: CalibrateOptions, judged: Mapping[str, HeldOutErrors]) -> tuple[str, str]:
     if not judged:
-        name = "icr_symmetric" if options.model == "auto" else options.model
+        name = "multiplier" if options.model == "auto" else options.model
         return name, "the drive is too short to hold anything out: no comparison was possible"
     selection = select(judged)
     if options.model == "auto":
@@ -169,8 +214,9 @@ def _estimates(found: Fit) -> dict[str, Estimate]:
 
 
 def _determined(found: Fit, i: np.intp | int) -> bool:
-    """Given, or known much better than before the drive."""
-    return bool(not found.free[i] or found.covariance[i, i] < (DETERMINED * found.prior_sigma[i]) ** 2)
+    """Given, or known much better than before the drive; what is assumed of a gyro is knowledge, not ignorance."""
+    assumed = found.names[i].startswith(("gyro_bias", "gyro_scale"))
+    return bool(assumed or not found.free[i] or found.covariance[i, i] < (DETERMINED * found.prior_sigma[i]) ** 2)
 
 
 def _warnings(found: Fit, judged: Mapping[str, HeldOutErrors], chosen: str, drives: Sequence[Drive]) -> tuple[str, ...]:
@@ -185,6 +231,7 @@ def _warnings(found: Fit, judged: Mapping[str, HeldOutErrors], chosen: str, driv
             f"errors last longer than the noise model explains: variances were raised {found.inflated:.1f}-fold"
             " by the scatter between stretches of 10 s"
         )
+    notes += _unseen(drives, found)
     outliers = sum(int((w.end < 1).sum()) for w in found.weights)
     if outliers > 0.1 * found.windows:
         notes.append(f"{outliers} of {found.windows} reference poses are outliers: the reference is poor")
@@ -193,6 +240,21 @@ def _warnings(found: Fit, judged: Mapping[str, HeldOutErrors], chosen: str, driv
     if not judged:
         notes.append("too short to hold anything out: no honest figure of its errors on new ground")
     return tuple(notes)
+
+
+def _unseen(drives: Sequence[Drive], found: Fit) -> list[str]:
+    """What the kind of reference cannot tell, whatever the drive."""
+    if all(d.reference is None for d in drives):
+        return [
+            "a gyro alone tells the effective track width only, to about the scale of the gyro (taken as known to 1 %):"
+            " icr_x, alpha_left, alpha_right and every translation are not observable"
+        ]
+    if any(name.startswith("mount_") and free for name, free in zip(found.names, found.free, strict=True)):
+        return [
+            "where the reference sits on the robot was not given: it was estimated together with a model symmetric"
+            " about the origin; give --mount X,Y to find the full ICR model"
+        ]
+    return []
 
 
 def _simple_enough(judged: Mapping[str, HeldOutErrors]) -> list[str]:
@@ -213,6 +275,7 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
         "spacing": options.spacing,
         "time_offset": options.fit.time_offset,
         "lag": options.fit.lag,
+        "mount": "free" if options.fit.mount is None else ",".join(f"{v:g}" for v in astuple(options.fit.mount)),
         "robust": options.fit.robust,
     }
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
@@ -226,6 +289,7 @@ def make_options(
     seed: int = 0,
     time_offset: float | None = None,
     lag: float | None = None,
+    mount: str | None = None,
 ) -> CalibrateOptions:
     """Options from the words of a command line; time offset and lag [s] are estimated where they are None.
 
@@ -236,7 +300,20 @@ def make_options(
         if value is not None and not (np.isfinite(value) and abs(value) <= 5.0 and (name != "lag" or value >= 0.0)):
             raise RequestError(f"the {name} must be a time in s of at most 5 s (a lag not negative), got {value}")
     fit_options = FitOptions(time_offset=time_offset, lag=lag)
-    return CalibrateOptions(model, cast("Method", method), window, seed, fit=fit_options)
+    return CalibrateOptions(model, cast("Method", method), window, seed, _parse_mount(mount), fit=fit_options)
+
+
+def _parse_mount(text: str | None) -> Mount | Literal["free"] | None:
+    """The words ``X,Y``, ``X,Y,YAW`` (m, m, rad) or ``free``."""
+    if text is None or text == "free":
+        return text  # type: ignore[return-value]
+    try:
+        numbers = [float(word) for word in text.split(",")]
+        if len(numbers) not in (2, 3):
+            raise ValueError
+        return Mount(*numbers)
+    except ValueError as error:
+        raise RequestError(f"--mount takes X,Y or X,Y,YAW in m and rad, or free; got '{text}'") from error
 
 
 def compare_models(
@@ -249,8 +326,8 @@ def compare_models(
     """
     for drive in drives:
         _usable(drive)
-    options = CalibrateOptions(window=length, spacing=choose_spacing(drives, FitOptions()))
-    judged = judge_models(list(MODELS), drives, options, progress)
+    options = _settled(drives, CalibrateOptions(window=length))
+    judged = judge_models(candidates(drives, options), drives, options, progress)
     if not judged:
         raise DataError(f"{drives[0].name}: too short to hold anything out; at least 16 s in motion are needed")
     return {name: HeldOut.of(errors.errors) for name, errors in judged.items()}, select(judged)

@@ -11,7 +11,7 @@ from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
-from skidsteer.windows import Windows, increment_windows, judging_windows, pieces
+from skidsteer.windows import increment_windows, pieces
 
 MOST_BLOCKS, LEAST_BLOCKS = 20, 4  # of a drive; even ones are fitted while odd ones are judged, and the other way round
 BLOCK = 12.0  # [s] of a block, where that gives a number between the two
@@ -64,28 +64,20 @@ def held_out(
     if sum(len(e) - 1 for e in edges) < 4:
         return None
     increments = [increment_windows(drive, spacing) for drive in drives]
-    judged = [judging_windows(drive, length) for drive in drives]
     errors, blocks = [], []
     for fold in (0, 1):
-        train = [w.where(_parity(w, e) != fold) for w, e in zip(increments, edges, strict=True)]
+        train = [w.where(_block(w.start, e) % 2 != fold) for w, e in zip(increments, edges, strict=True)]
         if not any(map(len, train)):
             return None
         found = fit(start, drives, train, options)
-        for i, (drive, w, e) in enumerate(zip(drives, judged, edges, strict=True)):
-            test = w.where((_parity(w, e) == fold) & _whole(w, e))
-            errors.append(window_errors(found.model, drive, found.timings[i], length, test))
-            blocks.append(1000 * i + _block(test.start, e))
+        for i, (drive, e) in enumerate(zip(drives, edges, strict=True)):
+            judged = window_errors(found.model, drive, found.timings[i], length, found.mount)
+            first, last = _block(judged.start, e), _block(np.nextafter(judged.end, -np.inf), e)
+            test = (first % 2 == fold) & (first == last)
+            errors.append(judged.where(test))
+            blocks.append(1000 * i + first[test])
     return HeldOutErrors(WindowErrors.join(errors), np.concatenate(blocks))
 
 
 def _block(t: FloatArray, edges: FloatArray) -> np.ndarray:
     return np.asarray(np.searchsorted(edges, t, side="right") - 1)
-
-
-def _parity(windows: Windows, edges: FloatArray) -> np.ndarray:
-    return np.asarray(_block(windows.start, edges) % 2)
-
-
-def _whole(windows: Windows, edges: FloatArray) -> np.ndarray:
-    """Windows that do not reach into the next block."""
-    return np.asarray(_block(windows.start, edges) == _block(np.nextafter(windows.end, -np.inf), edges))

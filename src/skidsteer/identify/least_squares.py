@@ -8,7 +8,7 @@ weighed down where they happened.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -16,10 +16,11 @@ from scipy.stats import chi2
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError
 from skidsteer.gyro import GyroErrors, Turn, rough_errors
+from skidsteer.heading import correct_headings, guess_headings, headings_of
 from skidsteer.identify.unknowns import Unknowns
 from skidsteer.kernels import chain
 from skidsteer.models import Model
-from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals, reweigh
+from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals, reweigh, smoothed
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount, Timing, Windows, covered, linearize, predict, seen_by, steps
 
@@ -97,6 +98,7 @@ def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitO
         raise DataError(f"{drives[0].name}: wheels and reference share no stretch of time; check their clocks")
     start, free = _start(model, drives, windows, options)
     turns = [Turn.of(d.gyro) if d.gyro is not None and options.use_gyro else None for d in drives]
+    windows = [_headed(model, d, w, start, i) for i, (d, w) in enumerate(zip(drives, windows, strict=True))]
     problem = _Problem(drives, windows, turns, start, start.prior_sigma(drives), free, start.bounds(drives), options)
     state, noise = start, options.noise or Noise()
     weights = [Weights.ones(len(w)) for w in windows]
@@ -107,6 +109,7 @@ def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitO
         if round_ > 1 and moved < 2.0 * ROUGH:
             break
         noise, weights = problem.reweighed(state, noise, weights)
+        problem = problem.headed(state, noise, weights)
     state, _, used = problem.gauss_newton(state, noise, weights, options.tolerance)
     return problem.result(state, noise, weights, count + used, used < options.iterations)
 
@@ -117,16 +120,25 @@ def _start(
     """Where the search begins, and which entries (m,) of it are free."""
     own, free_own = [], []
     for drive, w in zip(drives, windows, strict=True):
-        known = options.time_offset is not None
-        offset = options.time_offset if known else find_offset(model, drive, w, options.search)
+        offset, known = options.time_offset, options.time_offset is not None or w.sees == "turn"
+        if offset is None:
+            offset = 0.0 if w.sees == "turn" else find_offset(model, drive, w, options.search)
         with_gyro = drive.gyro is not None and options.use_gyro
         gyro = rough_errors(drive.wheels, drive.gyro, model) if with_gyro and drive.gyro is not None else GyroErrors()
         own += [offset, gyro.time_offset, gyro.bias, gyro.scale]
         free_own += [not known, with_gyro, with_gyro, with_gyro]
     mount = options.mount or Mount()
     x = np.array([*model.theta, 0.05 if options.lag is None else options.lag, mount.x, mount.y, mount.yaw, *own])
-    shared = [not options.fix_model] * len(model.theta) + [options.lag is None] + [options.mount is None] * 3
+    shared = [not options.fix_model] * len(model.theta) + [options.lag is None]
+    shared += [options.mount is None] * 2 + [options.mount is None and any(w.sees == "pose" for w in windows)]
     return Unknowns(model, x, len(drives)), np.array(shared + free_own)
+
+
+def _headed(model: Model, drive: Drive, windows: Windows, start: Unknowns, i: int) -> Windows:
+    """Windows with a first guess of the headings that the reference does not tell."""
+    if windows.sees != "position":
+        return windows
+    return guess_headings(windows, start.mount.seen(predict(model, drive.wheels, windows, start.timing(i))))
 
 
 def find_offset(
@@ -140,12 +152,20 @@ def find_offset(
     some = windows.where(np.arange(len(windows)) < most) if len(windows) > most else windows
     candidates = np.arange(search[0], search[1] + 0.025, 0.05)
     rate = 1.0 / np.maximum(some.end - some.start, 1e-3)[:, None]
-    measured = some.motion[:, [0, 2]] * rate
+    measured = _speeds(some.motion, some.sees) * rate
     scores = []
     for offset in candidates:
-        predicted = predict(model, drive.wheels, some, Timing(float(offset), lag))[:, [0, 2]] * rate
+        predicted = _speeds(predict(model, drive.wheels, some, Timing(float(offset), lag)), some.sees) * rate
         scores.append(sum(_explained(measured[:, i], predicted[:, i]) for i in range(2)))
     return float(candidates[int(np.argmax(scores))]) if max(scores) > 0.2 else 0.0
+
+
+def _speeds(motion: FloatArray, sees: str) -> FloatArray:
+    """Forward and yaw part (k, 2) of motions; without headings the distance covered, and no yaw."""
+    if sees == "pose":
+        return motion[:, [0, 2]]
+    distance = np.hypot(motion[:, 0], motion[:, 1])
+    return np.stack([distance, np.zeros_like(distance)], axis=1)
 
 
 def _explained(a: FloatArray, b: FloatArray) -> float:
@@ -232,7 +252,31 @@ class _Problem:
             wide[:, index] = s
             scores.append(wide)
             deviance += d
+            deviance += self._scale_of_gyro(state, i, part, rank, H, wide, number)
         return H, np.concatenate(scores), deviance
+
+    def _scale_of_gyro(
+        self,
+        state: Unknowns,
+        i: int,
+        part: Residuals,
+        rank: np.ndarray,
+        H: FloatArray,
+        scores: FloatArray,
+        block: np.ndarray,
+    ) -> float:
+        """Add to H and scores what the change of variables from the gyro's samples to true turns contributes.
+
+        The residual is in units of the true turn, scale times the measured one: without this term a small scale would
+        make all residuals small.
+        """
+        at = int(state.columns(i)[-1])
+        told = np.isfinite(part.gyro_time)
+        scale, count = state.gyro(i).scale, int(told.sum())
+        if self.free[at] and count:
+            H[rank[at], rank[at]] += count / scale**2
+            scores[:, rank[at]] += np.bincount(block[told], minlength=len(scores)) / scale
+        return -2.0 * count * float(np.log(scale))
 
     def gauss_newton(
         self, state: Unknowns, noise: Noise, weights: list[Weights], tolerance: float
@@ -282,6 +326,16 @@ class _Problem:
             if self.options.noise is None:
                 noise = fit_noise(parts, noise, weights)
         return noise, weights
+
+    def headed(self, state: Unknowns, noise: Noise, weights: list[Weights]) -> _Problem:
+        """The same problem with better headings where the reference does not tell them."""
+        windows = list(self.windows)
+        for i, old in enumerate(self.windows):
+            if old.sees == "position":
+                part = self.compare(state, i)[0]
+                start, end, _ = smoothed(part, noise, weights[i])
+                windows[i] = correct_headings(old, *headings_of(part, start, end))
+        return replace(self, windows=windows)
 
     def result(self, state: Unknowns, noise: Noise, weights: list[Weights], iterations: int, converged: bool) -> Fit:
         """The fit at a state that the search ended in."""

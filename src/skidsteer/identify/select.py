@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from skidsteer.identify.holdout import HeldOutErrors
+from skidsteer.metrics import WindowErrors
 from skidsteer.models import MODELS
 from skidsteer.se2 import FloatArray
 
@@ -27,19 +28,19 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One model against the best, on the same held-out windows."""
+    """One model against the best, on the same held-out windows; None where the drives cannot tell."""
 
-    translation: Excess
-    yaw: Excess
+    translation: Excess | None
+    yaw: Excess | None  # against the reference, or the gyro where that is all there is
 
     @property
     def worse(self) -> bool:
         """Significantly worse in translation or in yaw."""
-        return min(self.translation.p_worse, self.yaw.p_worse) < LEVEL
+        return any(e is not None and e.p_worse < LEVEL for e in (self.translation, self.yaw))
 
     def __str__(self) -> str:
         pairs = (("translation", self.translation), ("yaw", self.yaw))
-        return ", ".join(f"{name} {100 * e.share:+.0f} % (p = {e.p_worse:.2g})" for name, e in pairs)
+        return ", ".join(f"{name} {100 * e.share:+.0f} % (p = {e.p_worse:.2g})" for name, e in pairs if e)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +52,16 @@ class Selection:
     against_best: Mapping[str, Comparison]
 
 
-def excess(error: FloatArray, other: FloatArray, block: np.ndarray) -> Excess:
+def excess(error: FloatArray, other: FloatArray, block: np.ndarray) -> Excess | None:
     """Paired test of errors (k,) against others (k,) of the same windows, by the block (k,) each window lies in.
 
     Windows inside a block are not independent, blocks nearly are. The logarithm lets a share of error count alike in
     slow and fast windows, and makes outliers harmless.
     """
-    tiny = np.finfo(float).tiny
-    ratio = np.log(np.maximum(np.abs(error), tiny)) - np.log(np.maximum(np.abs(other), tiny))
+    told = np.isfinite(error) & np.isfinite(other)
+    if not told.any():
+        return None
+    ratio, block = _log_size(error[told]) - _log_size(other[told]), block[told]
     number = np.unique(block, return_inverse=True)[1]
     count = np.bincount(number).astype(float)
     mean_of_block, share, blocks = np.bincount(number, ratio) / count, count / count.sum(), len(count)
@@ -78,7 +81,7 @@ def select(results: Mapping[str, HeldOutErrors]) -> Selection:
     against = {
         name: Comparison(
             excess(r.errors.translation, results[best].errors.translation, r.block),
-            excess(r.errors.yaw, results[best].errors.yaw, r.block),
+            excess(_yaw(r.errors), _yaw(results[best].errors), r.block),
         )
         for name, r in results.items()
     }
@@ -87,11 +90,18 @@ def select(results: Mapping[str, HeldOutErrors]) -> Selection:
     return Selection(chosen, _sentence(chosen, best, against, simple), against)
 
 
+def _yaw(errors: WindowErrors) -> FloatArray:
+    return errors.yaw if np.isfinite(errors.yaw).any() else errors.yaw_gyro
+
+
+def _log_size(errors: FloatArray) -> FloatArray:
+    return np.asarray(np.log(np.maximum(np.abs(errors), np.finfo(float).tiny)))
+
+
 def _typical(result: HeldOutErrors) -> float:
     """Mean log of translation and yaw errors: the unit of neither matters when models are compared."""
-    tiny = np.finfo(float).tiny
-    sizes = np.stack([result.errors.translation, np.abs(result.errors.yaw)])
-    return float(np.log(np.maximum(sizes, tiny)).mean())
+    channels = (result.errors.translation, _yaw(result.errors))
+    return float(sum(_log_size(c[np.isfinite(c)]).mean() for c in channels if np.isfinite(c).any()))
 
 
 def _sentence(chosen: str, best: str, against: Mapping[str, Comparison], simple: list[str]) -> str:

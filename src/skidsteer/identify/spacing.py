@@ -8,12 +8,12 @@ import numpy as np
 
 from skidsteer.drive import Drive
 from skidsteer.identify.least_squares import Fit, FitOptions, fit
-from skidsteer.models import Icr
+from skidsteer.models import Icr, Model, Multiplier, SymmetricIcr
 from skidsteer.windows import Windows, increment_windows
 
 log = logging.getLogger(__name__)
 
-CANDIDATES = (0.5, 1.0, 2.0)  # [s]
+CANDIDATES = (0.5, 1.0, 2.0, 4.0)  # [s]
 COVER = 0.8  # share of the time at full rate that windows of a spacing must still cover
 GAIN = 0.1  # a wider spacing must lower the mean log sigma by this much
 
@@ -27,7 +27,10 @@ def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
     block sandwich covariance, the honest one.
     """
     full = [increment_windows(drive) for drive in drives]
-    start = Icr.nominal(drives[0].vehicle)
+    family: type[Model] = SymmetricIcr if options.mount is None else Icr
+    if all(drive.reference is None for drive in drives):
+        family = Multiplier
+    start = family.nominal(drives[0].vehicle)
     found = fit(start, drives, full, options)
     if found.inflated <= 1.0:
         return 0.0

@@ -40,7 +40,7 @@ class Multiplier(MatrixModel):
 
     NAME: ClassVar[str] = "multiplier"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("multiplier", "", 1.0, 0.4, 6.0, "effective track width over track width"),
+        Parameter("multiplier", "", 1.0, 0.4, 10.0, "effective track width over track width"),
     )
 
     multiplier: float
