@@ -286,7 +286,7 @@ def test_no_windows_tell_nothing() -> None:
 def test_the_linear_model_holds_for_real_noise() -> None:
     """Exact motions with noise composed on SE(2): the covariance of the residuals is that of the linear model.
 
-    Pose noise of 2 cm and 1 deg, motion noise of 2 cm and 2 deg, turns of up to 1.7 rad: three joined windows, and a gyro.
+    Pose noise of 2 cm and 1 deg, motion noise of 2 cm and 2 deg, turns of up to 1.7 rad, a gyro: three joined windows.
     """
     rng, trials, k = np.random.default_rng(5), 40_000, 3
     motion = np.array([[0.5, 0.1, 0.6], [0.3, -0.2, -1.7], [0.8, 0.0, 0.1]])
