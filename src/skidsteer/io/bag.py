@@ -135,6 +135,8 @@ def _refuse_without_wheels(path: str | os.PathLike[str], source: Source, choice:
     if not any(topic.count for topic in source.topics):
         why = f" ({'; '.join(source.notes)})" if source.notes else ""
         raise DataError(f"{path}: holds no messages{why}")
+    if source.notes:
+        raise DataError(f"{path}: no topic serves as wheel speeds, and it is damaged: {'; '.join(source.notes)}")
     joints = [topic.name for topic in source.topics if topic.type == JOINT_STATE and topic.count]
     hint = f"; name the wheels of {joints[0]} with --left-joints and --right-joints" if joints else ""
     raise RequestError(f"{path}: no topic serves as wheel speeds{hint}; {offer(source.topics)}")

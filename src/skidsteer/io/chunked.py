@@ -100,6 +100,7 @@ class BagIndex:
     counts: Counter[int] = field(default_factory=Counter)  # messages by channel
     finished: bool = True
     notes: list[str] = field(default_factory=list)
+    lost: dict[int, str] = field(default_factory=dict)  # start of a chunk -> why it cannot be read
 
     def add_loose(self, channel: int, start: int, end: int) -> None:
         """Take in a message record that lies in no chunk."""
@@ -154,10 +155,18 @@ class ChunkedSource:
             self.close()
             raise
         self.kind = form.name if self._index.finished else f"{form.name}, unfinished"
-        self.notes = list(self._index.notes)
         self._owner = _topics_by_channel(self._index)
         self.topics = tuple(dict.fromkeys(self._owner.values()))
-        self._lost: dict[int, str] = {}  # start of a chunk -> why it cannot be read
+        self._lost = self._index.lost
+
+    @property
+    def notes(self) -> list[str]:
+        """What was wrong with the file. See ``raw.Source``."""
+        if not self._lost:
+            return self._index.notes
+        number, reason = len(self._lost), shown(next(iter(self._lost.values())))
+        lost = f"{number} of {len(self._index.chunks)} chunks cannot be read and were left out ({reason})"
+        return [*self._index.notes, f"{self._file.path.name}: {lost}"]
 
     def close(self) -> None:
         """Close the file."""
@@ -169,7 +178,6 @@ class ChunkedSource:
         for key, piece in self._pieces(left):
             left[self._owner[key]] -= len(piece)
             yield self._owner[key], piece
-        self._report_lost()
 
     def _pieces(self, left: dict[BagTopic, int]) -> Iterator[tuple[int, RawMessages]]:
         wanted = [key for key, topic in self._owner.items() if topic in left]
@@ -191,19 +199,27 @@ class ChunkedSource:
             self._lost[-1] = str(error)
 
     def _chunk_messages(self, chunk: Chunk, keys: Sequence[int]) -> Iterator[tuple[int, RawMessages]]:
-        try:
-            for buffer, table in self._opened(chunk, keys):
-                messages = RawMessages(table.log_ns, buffer, table.start, table.size)
-                for key in keys:
-                    if (of_key := table.channel == key).any():
-                        yield key, messages.where(of_key)
-        except DamagedError as error:
-            self._lost[chunk.start] = str(error)
+        """The messages of these channels in one chunk; where its index proves wrong, those found without it."""
+        begun = False
+        for index_size in dict.fromkeys((chunk.index_size, 0)):
+            try:
+                for buffer, table in self._opened(chunk, index_size, keys):
+                    messages = RawMessages(table.log_ns, buffer, table.start, table.size)
+                    for key in keys:
+                        if (of_key := table.channel == key).any():
+                            begun = True
+                            yield key, messages.where(of_key)
+                self._lost.pop(chunk.start, None)
+                return
+            except DamagedError as error:
+                self._lost[chunk.start] = str(error)
+                if begun:
+                    return
 
-    def _opened(self, chunk: Chunk, keys: Sequence[int]) -> Iterator[tuple[ByteArray, MessageTable]]:
+    def _opened(self, chunk: Chunk, index_size: int, keys: Sequence[int]) -> Iterator[tuple[ByteArray, MessageTable]]:
         """The messages of these channels in one chunk, and maybe others."""
         head = self._form.chunk_head(self._file, chunk)
-        index = self._file.read(chunk.index_start, chunk.index_size)
+        index = self._file.read(chunk.index_start, index_size)
         offsets = self._form.message_indexes(index) if index else None
         if offsets is not None and head.compression == "" and not chunk.cut:
             yield from self._picked(*_record_spans(head, offsets, keys))
@@ -238,13 +254,6 @@ class ChunkedSource:
         lengths = np.array([len(run) for run in runs], dtype=np.int64)
         shift = np.cumsum(lengths) - lengths - starts[first]
         return b"".join(runs), starts + np.repeat(shift, last - first + 1)
-
-    def _report_lost(self) -> None:
-        if self._lost:
-            number = f"{len(self._lost)} of {len(self._index.chunks)} chunks"
-            reason = shown(next(iter(self._lost.values())))
-            self.notes.append(f"{self._file.path.name}: {number} cannot be read and were left out ({reason})")
-            self._lost.clear()
 
 
 def _record_spans(head: ChunkHead, offsets: dict[int, IntArray], keys: Sequence[int]) -> tuple[IntArray, IntArray]:

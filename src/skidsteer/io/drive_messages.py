@@ -118,9 +118,9 @@ class _Encoder:
         prefix: str = "",
     ) -> Encoded:
         """Serialise one message, and fill the numbers of all into copies of its bytes."""
-        ns = np.rint(t * SECOND).astype(np.int64) + self.shift * SECOND
-        if ns[-1] > _LATEST * SECOND:
+        if t[-1] + self.shift > _LATEST:
             raise ValueError(f"{topic}: time {t[-1]:g} s is beyond what a ROS stamp can hold")
+        ns = np.rint(t * SECOND).astype(np.int64) + self.shift * SECOND
         definitions = self.store.fielddefs
         message = bytes(self.store.serialize_cdr(_message(self.store, type_name, mould), type_name, little_endian=True))
         layout = read_layout(message, definitions, type_name, "cdr")

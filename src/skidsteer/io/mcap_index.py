@@ -228,5 +228,5 @@ def _look_into_chunks(file: ByteFile, found: _Found) -> None:
                 if op in (SCHEMA, CHANNEL):
                     found.define(op, data[start:end])
             found.index.counts.update(count_messages(file, MCAP, chunk, data))
-        except DamagedError:
-            continue  # told when its messages are read
+        except DamagedError as error:
+            found.index.lost[chunk.start] = str(error)

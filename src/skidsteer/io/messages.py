@@ -230,7 +230,8 @@ def _parsed(kind: str, text: str, type_name: str) -> Definitions:
 @lru_cache(maxsize=2)
 def standard_definitions(ros_version: int) -> Definitions:
     """The message definitions of ROS 1 Noetic or ROS 2 Humble; the types read here are the same in all of ROS 2."""
-    return dict(type_store(ros_version).fielddefs)
+    transforms: Any = ([], [("transforms", (4, ((2, TRANSFORM), 0)))])  # absent from the ROS 1 store
+    return {TF: transforms, "tf/msg/tfMessage": transforms, **type_store(ros_version).fielddefs}
 
 
 def type_store(ros_version: int) -> Any:

@@ -185,5 +185,5 @@ def _look_into_chunks(file: ByteFile, index: BagIndex) -> None:
                     key, channel = _connection(record, data[record.data : record.end])
                     index.channels.setdefault(key, channel)
             index.counts.update(count_messages(file, ROSBAG1, chunk, data))
-        except DamagedError:
-            continue  # told when its messages are read
+        except DamagedError as error:
+            index.lost[chunk.start] = str(error)

@@ -49,15 +49,14 @@ class SqliteSource:
         """Messages of these topics, in the order in which they were recorded. See ``raw.Source``."""
         wanted = {key: topic for key, topic in self._topics.items() if topic in topics}
         groups = [list(wanted)] if limit is None else [[key] for key in wanted]
-        number = 0
         try:
             for keys in groups:
                 for owner, messages in self._batches(keys, -1 if limit is None else limit):
-                    number += len(messages)
                     for key in np.unique(owner).tolist():
                         yield wanted[key], messages.where(owner == key)
         except sqlite3.Error as error:
-            self.notes.append(f"{self._path.name}: damaged; read no further than {number} messages ({shown(error)})")
+            note = f"{self._path.name}: damaged; not all of its messages can be read ({shown(error)})"
+            self.notes += [note] if note not in self.notes else []
 
     def _batches(self, keys: Sequence[int], limit: int) -> Iterator[tuple[IntArray, RawMessages]]:
         """So many messages at a time, and the topic of each."""

@@ -243,5 +243,6 @@ def offer(topics: Sequence[BagTopic]) -> str:
     """What a bag holds, in a line."""
     if not topics:
         return "the bag holds no topics"
-    listed = ", ".join(f"{shown(topic.name, 60)} ({shown(topic.type.split('/')[-1], 40)})" for topic in topics)
+    ordered = sorted(topics, key=lambda topic: topic.name)
+    listed = ", ".join(f"{shown(topic.name, 60)} ({shown(topic.type.split('/')[-1], 40)})" for topic in ordered)
     return f"the bag holds {shown(listed, 600)}"
