@@ -15,17 +15,21 @@ from skidsteer import windows as module
 from skidsteer.drive import Drive, Series
 from skidsteer.kernels.rollout import SMALL
 from skidsteer.models import MODELS, Icr, Model, Parameter
-from skidsteer.se2 import FloatArray, between, chain, exp
+from skidsteer.se2 import FloatArray, between, chain, compose, exp, wrap
 from skidsteer.vehicle import preset
 from skidsteer.windows import (
+    Mount,
     Timing,
     Windows,
+    covered,
     increment_windows,
     judging_windows,
     linearize,
     pieces,
     predict,
+    seen_by,
     steps,
+    stretches,
 )
 
 P3AT = preset("pioneer-p3at")
@@ -176,11 +180,51 @@ def test_dropping_a_window_cuts_the_chain() -> None:
     assert_array_equal(windows.where(np.array([False, True, True, True, True])).joined, [False, True, True, True])
 
 
-def test_a_drive_without_poses_has_no_windows() -> None:
+def test_stretches_and_what_they_cover() -> None:
+    t = np.array([0.0, 0.5, 1.5, 2.6, 3.0, 5.0])
+    assert_allclose(stretches(t), [[0.0, 1.5], [2.6, 3.0], [5.0, 5.0]])
+    start, end = np.array([[0.0, 1.5], [1.0, 2.7], [2.6, 3.0], [3.0, 5.0], [-0.1, 1.0], [2.0, 2.2], [5.0, 5.0]]).T
+    assert_array_equal(covered(t, start, end), [True, False, True, False, False, False, True])
+
+
+def test_positions_are_seen_along_the_axes_of_the_reference() -> None:
+    xy = np.array([[1.0, 1.0], [1.5, 1.2], [1.5, 2.2]])
+    drive = Drive("d", P3AT, Series(np.arange(4.0), np.ones((4, 2))), position=Series(np.arange(3.0), xy))
+    windows = increment_windows(drive)
+    assert windows.sees == "position"
+    assert_allclose(windows.motion, [[0.5, 0.2, 0.0], [0.0, 1.0, 0.0]], atol=1e-15)
+    assert_array_equal(windows.joined, [False, True])
+    judged = judging_windows(drive)
+    assert_allclose(spans(judged), [[0.0, 2.0]])
+    assert judged.where(np.array([True])).sees == "position"
+
+
+def test_poses_come_before_positions() -> None:
+    drive = drive_at(np.arange(5.0))
+    drive = Drive("d", P3AT, drive.wheels, pose=drive.pose, position=Series(np.arange(50.0), np.zeros((50, 2))))
+    assert increment_windows(drive).sees == "pose"
+
+
+def test_a_gyro_alone_gives_windows_of_time() -> None:
+    wheels = Series(np.arange(0.0, 10.0, 0.1), np.zeros((100, 2)))
+    drive = Drive("d", P3AT, wheels, gyro=Series(np.arange(2.0, 9.0, 0.01), np.zeros(700)))
+    windows = increment_windows(drive)
+    assert windows.sees == "turn"
+    assert_allclose(spans(windows), np.c_[np.arange(2.0, 8.4, 0.5), np.arange(2.5, 9.0, 0.5)])
+    assert_allclose(spans(judging_windows(drive)), [[2.0, 4.0], [4.0, 6.0], [6.0, 8.0]])  # though nothing moved
+
+
+def test_a_drive_without_reference_has_no_windows() -> None:
     drive = Drive("mine", P3AT, gappy_wheels())
     for function in (increment_windows, judging_windows):
-        with pytest.raises(ValueError, match=r"^mine has no reference poses$"):
+        with pytest.raises(ValueError, match=r"^mine has no reference$"):
             function(drive)
+
+
+@pytest.mark.parametrize("place", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, np.nan)])
+def test_mount_refuses(place: tuple[float, float, float]) -> None:
+    with pytest.raises(ValueError, match=r"^a mount needs finite x, y \[m\] and yaw \[rad\], got "):
+        Mount(*place)
 
 
 @pytest.mark.parametrize(("offset", "lag"), [(np.nan, 0.0), (0.0, -0.1), (np.inf, 0.0), (0.0, np.nan)])
@@ -512,3 +556,43 @@ def test_derivative_by_the_offset_by_hand() -> None:
     straight = Icr(0.3, -0.3, 0.0, 1.0, 1.0)
     jacobian = linearize(straight, steps(wheels, one_window(0.5, 1.5), Timing()))[1]
     assert_allclose(jacobian[0, :, -2], [0.3 - 0.5, 0.0, 0.0], atol=1e-15)
+
+
+# A sensor beside the origin
+
+
+def test_mount_by_hand() -> None:
+    """A quarter turn on the spot takes an antenna from 1 m ahead to 1 m left; it looks to the left itself."""
+    quarter = np.pi / 2
+    assert_allclose(Mount(1.0, 0.0).seen(np.array([[0.0, 0.0, quarter]])), [[-1.0, 1.0, quarter]], atol=1e-15)
+    assert_allclose(Mount(1.0, 0.0, quarter).seen(np.array([[0.0, 0.0, quarter]])), [[1.0, 1.0, quarter]], atol=1e-15)
+    straight = Mount(0.4, -0.3, quarter).seen(np.array([[2.0, 0.0, 0.0]]))
+    assert_allclose(straight, [[0.0, -2.0, 0.0]], atol=1e-15)
+
+
+def test_seen_is_between_the_poses_of_the_sensor() -> None:
+    rng = np.random.default_rng(0)
+    body, place = rng.uniform(-1.0, 1.0, (20, 3)), np.array([0.3, -0.2, 0.7])
+    poses = chain(body)
+    sensor = compose(poses, place)
+    assert_allclose(Mount(*place).seen(body), between(sensor[:-1], sensor[1:]), atol=1e-12)
+
+
+def test_seen_by_is_the_finite_difference() -> None:
+    wheels = wheel_log()
+    windows, place, h = some_windows(wheels), np.array([0.3, -0.2, 0.7]), 1e-6
+    motion, jacobian = linearize(TRUTH, steps(wheels, windows, Timing(0.1, 0.0)))
+    seen, slopes = seen_by(Mount(*place), motion, jacobian)
+    assert_allclose(wrap_yaw(seen - Mount(*place).seen(motion)), 0.0, atol=1e-13)
+
+    def at(theta: FloatArray, offset: float, where: FloatArray) -> FloatArray:
+        return Mount(*where).seen(predict(TRUTH.with_theta(theta), wheels, windows, Timing(offset)))
+
+    x = np.r_[TRUTH.theta, 0.1, place]
+    ends = [[at(y[:5], y[5], y[6:]) for y in (x + h * e, x - h * e)] for e in np.eye(9)]
+    expected = np.stack([wrap_yaw(a - b) / (2 * h) for a, b in ends], axis=-1)
+    assert_allclose(np.delete(slopes, 6, axis=2), expected, atol=1e-8)  # the lag's column comes as it was given
+
+
+def wrap_yaw(difference: FloatArray) -> FloatArray:
+    return np.concatenate([difference[:, :2], wrap(difference[:, 2:])], axis=1)
