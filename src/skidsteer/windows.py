@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from skidsteer.drive import Drive, Series
+from skidsteer.kernels import roll
 from skidsteer.kernels import rollout as kernels
 from skidsteer.models import MatrixModel, Model
 from skidsteer.se2 import FloatArray, between, compose, rotate
@@ -206,47 +207,69 @@ class Steps:
     end_speeds: FloatArray  # (k, 2) [m/s]
 
 
-def steps(wheels: Series, windows: Windows, timing: Timing) -> Steps:
-    """Cut the wheel log (held speeds, behind the lag) at the ends of windows moved by the time offset."""
+def steps(wheels: Series, windows: Windows, timing: Timing, slopes: bool = True) -> Steps:
+    """Cut the wheel log (held speeds, behind the lag) at the ends of windows moved by the time offset.
+
+    Without ``slopes``, ``by_lag`` is (0, 2): it costs as much memory as the distances, and only ``linearize`` needs it.
+    """
     t, v, restart = _warmed_up(wheels)
-    f, g = kernels.lag_states(t, v, timing.lag, restart)
     start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
-    first, offsets = kernels.count_steps(t, start, end)
-    rolled = kernels.roll(t, v, f, g, timing.lag, start, end, first, offsets)
-    ends = (kernels.speeds_at(t, v, f, timing.lag, query) for query in (start, end))
-    return Steps(*rolled, offsets, *ends)
+    first, offsets = roll.count_steps(t, start, end)
+    # NumPy allocates large arrays in huge pages; the compiler's np.empty does not, and would wait for the kernel.
+    count, k = int(offsets[-1]), len(start)
+    cut = Steps(
+        distance=np.empty((count, 2)),
+        by_lag=np.empty((count if slopes else 0, 2)),
+        duration=np.empty(count),
+        offsets=offsets,
+        start_speeds=np.empty((k, 2)),
+        end_speeds=np.empty((k, 2)),
+    )
+    out = (cut.distance, cut.by_lag, cut.duration, cut.start_speeds, cut.end_speeds)
+    if timing.lag > 0.0:
+        roll.roll_lagged(t, v, restart, timing.lag, start, end, first, offsets, *out)
+    else:
+        roll.roll_held(t, v, restart, start, end, first, offsets, *out)
+    return cut
 
 
-def _warmed_up(wheels: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Wheel samples with the first one after each gap held backwards; 1 where the time before is unknown."""
-    t, v = wheels.t, wheels.values
+def _warmed_up(wheels: Series) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Wheel samples with the first one after each gap held backwards; True where the time before is unknown."""
+    t, v = wheels.t, np.ascontiguousarray(wheels.values)
+    if roll.count_gaps(t, MAX_GAP) == 0:
+        return t, v, np.zeros(len(t), bool)
     after = np.flatnonzero(np.diff(t) > MAX_GAP) + 1
     early = t[after] - np.minimum(WARM_UP, 0.5 * np.diff(t)[after - 1])
-    restart = np.zeros(len(t))
-    restart[after] = 0.0
-    return (
-        np.insert(t, after, early),
-        np.insert(v, after, v[after], axis=0),
-        np.insert(restart, after, 1.0),
-    )
+    restart = np.insert(np.zeros(len(t), bool), after, True)
+    t, v = np.insert(t, after, early), np.insert(v, after, v[after], axis=0)
+    for array in (t, v):  # as those of a Series: the loops are compiled once
+        array.setflags(write=False)
+    return t, v, restart
 
 
 def predict(model: Model, wheels: Series, windows: Windows, timing: Timing) -> FloatArray:
     """Motion (k, 3) that the model predicts for each window."""
-    cut = steps(wheels, windows, timing)
+    cut = steps(wheels, windows, timing, slopes=False)
+    if isinstance(model, MatrixModel):
+        motion = np.empty((len(windows), 3))
+        kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets, motion, np.empty((1, 3, 7)))
+        return motion
     return kernels.rollout(_increments(model, cut.distance, cut.duration), cut.offsets)
 
 
 def linearize(model: Model, cut: Steps) -> tuple[FloatArray, FloatArray]:
     """Motion (k, 3) of cut windows, and its derivative (k, 3, p + 2) by parameters, time offset and lag."""
     if isinstance(model, MatrixModel):
-        motion, by_entry = kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets)
+        motion, by_entry = np.empty((len(cut.offsets) - 1, 3)), np.empty((len(cut.offsets) - 1, 3, 7))
+        kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets, motion, by_entry)
         by_parameter = by_entry[..., :6] @ model.matrix_jacobian().reshape(6, -1)
-        by_lag = by_entry[..., 6:]
+        by_lag = by_entry[..., 6]
     else:
         motion, jacobian = _rollout_in_chunks(model, cut)
-        by_parameter, by_lag = jacobian[..., :-1], jacobian[..., -1:]
-    return motion, np.concatenate([by_parameter, _by_offset(model, cut, motion)[..., None], by_lag], axis=-1)
+        by_parameter, by_lag = jacobian[..., :-1], jacobian[..., -1]
+    first = model.twist(cut.start_speeds[:, 0], cut.start_speeds[:, 1])
+    last = model.twist(cut.end_speeds[:, 0], cut.end_speeds[:, 1])
+    return motion, kernels.slide(motion, first, last, by_parameter, by_lag)
 
 
 def _increments(model: Model, distance: FloatArray, duration: FloatArray) -> FloatArray:
@@ -275,20 +298,6 @@ def _rollout_part(model: Model, cut: Steps, a: int, b: int) -> tuple[FloatArray,
     increments = np.ascontiguousarray(model.twist(left, right) * dt)
     jacobian = np.ascontiguousarray(np.concatenate([by_parameter, by_lag], axis=-1))
     return kernels.rollout_sensitivities(increments, jacobian, cut.offsets[a : b + 1] - cut.offsets[a])
-
-
-def _by_offset(model: Model, cut: Steps, motion: FloatArray) -> FloatArray:
-    """Derivative (k, 3) of the motion by the time offset: sliding, a window loses at its end, gains at its start.
-
-    From T(a, b): dT/db is the body twist at b turned by the yaw of T, dT/da is minus that at a, moved to the end.
-    """
-    first = model.twist(cut.start_speeds[:, 0], cut.start_speeds[:, 1])
-    last = model.twist(cut.end_speeds[:, 0], cut.end_speeds[:, 1])
-    x, y, yaw = np.moveaxis(motion, -1, 0)
-    omega = first[:, 2:]
-    gained = first[:, :2] + omega * np.stack([-y, x], axis=-1)
-    lost = rotate(yaw, last[:, :2])
-    return np.concatenate([gained - lost, omega - last[:, 2:]], axis=-1)
 
 
 def seen_by(mount: Mount, motion: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from skidsteer.kernels import lanes
 from skidsteer.se2 import FloatArray
 
 SMALL = 0.3  # [rad] half angle below which the series of sine and cosine are exact to 1e-14
@@ -23,106 +24,6 @@ def _half_rotation(h: float) -> tuple[float, float, float, float]:
         return cos, h * sinc, sinc, slope
     sin, cos = math.sin(h), math.cos(h)
     return cos, sin, sin / h, (cos - sin / h) / h
-
-
-@njit(cache=True)
-def lag_states(t: FloatArray, v: FloatArray, lag: float, restart: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """State of a first-order lag behind held speeds v (n, 2) at each sample, and its derivative by the lag [s].
-
-    The state satisfies lag * f' = v - f; ``restart`` (n,) is 1 where nothing is known of the time before: f = v there.
-    """
-    f, g = np.empty_like(v), np.zeros_like(v)
-    for i in range(len(t)):
-        if i == 0 or restart[i] == 1.0:
-            f[i] = v[i]
-            continue
-        dt = t[i] - t[i - 1]
-        decay = math.exp(-dt / lag) if lag > 0.0 else 0.0
-        slope = decay * dt / lag**2 if lag > 0.0 else 0.0
-        for side in range(2):
-            c = f[i - 1, side] - v[i - 1, side]
-            f[i, side] = v[i - 1, side] + c * decay
-            g[i, side] = g[i - 1, side] * decay + c * slope
-    return f, g
-
-
-@njit(cache=True)
-def count_steps(t: FloatArray, start: FloatArray, end: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the sample that holds at each start (k,), and the offsets (k + 1,) of the steps of each window."""
-    n, k = len(t), len(start)
-    first = np.empty(k, np.int64)
-    offsets = np.zeros(k + 1, np.int64)
-    i = 0
-    for w in range(k):
-        if i > 0 and t[i] > start[w]:
-            i = 0
-        if t[i] <= start[w] and (i + 64 < n and t[i + 64] < start[w]):
-            i = np.searchsorted(t, start[w], side="right") - 1
-        while i + 1 < n and t[i + 1] <= start[w]:
-            i += 1
-        first[w] = i
-        j = i
-        while j + 1 < n and t[j + 1] < end[w]:
-            j += 1
-        offsets[w + 1] = offsets[w] + (j - i + 1)
-    return first, offsets
-
-
-@njit(cache=True)
-def _lagged(lag: float, s: float) -> float:
-    if s <= 0.0:
-        return 1.0
-    return math.exp(-s / lag) if lag > 0.0 else 0.0
-
-
-@njit(cache=True)
-def roll(
-    t: FloatArray,
-    v: FloatArray,
-    f: FloatArray,
-    g: FloatArray,
-    lag: float,
-    start: FloatArray,
-    end: FloatArray,
-    first: np.ndarray,
-    offsets: np.ndarray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distances rolled by both sides in each step (s, 2) [m], their derivative by the lag, and the durations (s,).
-
-    A window is cut at the wheel samples. Behind a lag the speed inside a step is v + (f - v) exp(-s / lag).
-    """
-    n, total = len(t), offsets[-1]
-    distance, by_lag, duration = np.empty((total, 2)), np.zeros((total, 2)), np.empty(total)
-    for w in range(len(start)):
-        i = first[w]
-        for step in range(offsets[w], offsets[w + 1]):
-            a = start[w] if i == first[w] else t[i]
-            b = end[w] if (i + 1 >= n or t[i + 1] >= end[w]) else t[i + 1]
-            duration[step] = b - a
-            if lag == 0.0 and a > t[i]:
-                distance[step] = v[i] * (b - a)
-            else:
-                ea, eb = _lagged(lag, a - t[i]), _lagged(lag, b - t[i])
-                sa, sb = max(a - t[i], 0.0), b - t[i]
-                bend = (ea * sa - eb * sb) / lag if lag > 0.0 else 0.0
-                for side in range(2):
-                    c = f[i, side] - v[i, side]
-                    distance[step, side] = v[i, side] * (b - a) + c * lag * (ea - eb)
-                    by_lag[step, side] = (g[i, side] * lag + c) * (ea - eb) + c * bend
-            i += 1
-    return distance, by_lag, duration
-
-
-@njit(cache=True)
-def speeds_at(t: FloatArray, v: FloatArray, f: FloatArray, lag: float, query: FloatArray) -> FloatArray:
-    """Speeds (k, 2) behind the lag at the times (k,): the held sample where there is no lag."""
-    out = np.empty((len(query), 2))
-    for k in range(len(query)):
-        i = max(np.searchsorted(t, query[k], side="right") - 1, 0)
-        decay = _lagged(lag, query[k] - t[i]) if lag > 0.0 else 0.0
-        for side in range(2):
-            out[k, side] = v[i, side] + (f[i, side] - v[i, side]) * decay
-    return out
 
 
 @njit(cache=True)
@@ -174,51 +75,132 @@ def rollout_sensitivities(
 
 
 @njit(cache=True)
-def rollout_matrix(
-    A: FloatArray, distance: FloatArray, by_lag: FloatArray, offsets: np.ndarray
-) -> tuple[FloatArray, FloatArray]:
-    """Motion (k, 3) of a model that is linear in the rim speeds, and its derivative (k, 3, 7).
+def _one_window(
+    A: FloatArray, distance: FloatArray, by_lag: FloatArray, low: int, high: int, motion: FloatArray, J: FloatArray
+) -> None:
+    """Motion (3,) over the steps from low to high, and its derivative (3, 7); see ``rollout_matrix``.
 
-    The derivative is by the six entries of A, row by row, and by the lag. With e = exp(j yaw) at the middle of a step:
-    position = sum sinc e (p dl + q dr), p = A11 + j A21, q = A12 + j A22; yaw = A31 L + A32 R.
+    With e = exp(j yaw) at the middle of a step: position = sum sinc e (p dl + q dr), p = A11 + j A21, q = A12 + j A22;
+    yaw = A31 L + A32 R.
     """
-    k = len(offsets) - 1
-    motion, jacobian = np.zeros((k, 3)), np.zeros((k, 3, 7))
+    x = y = left = right = yaw_lag = x_lag = y_lag = 0.0
+    xl = yl = xr = yr = xa = ya = xb = yb = 0.0
+    c, s = 1.0, 0.0
+    for i in range(low, high):
+        dl, dr = distance[i, 0], distance[i, 1]
+        ch, sh, sinc, slope = _half_rotation(0.5 * (A[2, 0] * dl + A[2, 1] * dr))
+        cm, sm = c * ch - s * sh, s * ch + c * sh
+        c, s = cm * ch - sm * sh, sm * ch + cm * sh
+        cs, ss = sinc * cm, sinc * sm
+        xl += cs * dl
+        yl += ss * dl
+        xr += cs * dr
+        yr += ss * dr
+        bx, by = A[0, 0] * dl + A[0, 1] * dr, A[1, 0] * dl + A[1, 1] * dr
+        ux, uy = cm * bx - sm * by, sm * bx + cm * by
+        turn_l, turn_r = sinc * (left + 0.5 * dl), sinc * (right + 0.5 * dr)
+        xa += -turn_l * uy + 0.5 * slope * dl * ux
+        ya += turn_l * ux + 0.5 * slope * dl * uy
+        xb += -turn_r * uy + 0.5 * slope * dr * ux
+        yb += turn_r * ux + 0.5 * slope * dr * uy
+        left += dl
+        right += dr
+        ll, lr = (by_lag[i, 0], by_lag[i, 1]) if len(by_lag) else (0.0, 0.0)
+        half = 0.5 * (A[2, 0] * ll + A[2, 1] * lr)
+        lx, ly = A[0, 0] * ll + A[0, 1] * lr, A[1, 0] * ll + A[1, 1] * lr
+        turn = sinc * (yaw_lag + half)
+        x_lag += cs * lx - ss * ly - turn * uy + slope * half * ux
+        y_lag += ss * lx + cs * ly + turn * ux + slope * half * uy
+        yaw_lag += 2.0 * half
+    x = A[0, 0] * xl + A[0, 1] * xr - A[1, 0] * yl - A[1, 1] * yr
+    y = A[0, 0] * yl + A[0, 1] * yr + A[1, 0] * xl + A[1, 1] * xr
+    motion[0], motion[1], motion[2] = x, y, A[2, 0] * left + A[2, 1] * right
+    J[0, 0], J[0, 1], J[0, 2], J[0, 3], J[0, 4], J[0, 5], J[0, 6] = xl, xr, -yl, -yr, xa, xb, x_lag
+    J[1, 0], J[1, 1], J[1, 2], J[1, 3], J[1, 4], J[1, 5], J[1, 6] = yl, yr, xl, xr, ya, yb, y_lag
+    J[2, 0] = J[2, 1] = J[2, 2] = J[2, 3] = 0.0
+    J[2, 4], J[2, 5], J[2, 6] = left, right, yaw_lag
+
+
+@njit(cache=True)
+def _store(A: FloatArray, state: FloatArray, m: int, motion: FloatArray, J: FloatArray) -> None:
+    """Motion (3,) and derivative (3, 7) of the window in lane m of a tile."""
+    x, y = state[lanes.X + m], state[lanes.Y + m]
+    left, right = state[lanes.TOTAL + m], state[lanes.TOTAL + lanes.LANES + m]
+    ux, uy, vx, vy = state[lanes.UX + m], state[lanes.UY + m], state[lanes.VX + m], state[lanes.VY + m]
+    turn = A[2, 0] * state[lanes.LAG_TOTAL + m] + A[2, 1] * state[lanes.LAG_TOTAL + lanes.LANES + m]
+    motion[0], motion[1], motion[2] = x, y, A[2, 0] * left + A[2, 1] * right
+    J[0, 0], J[0, 1], J[0, 2], J[0, 3] = ux, vx, -uy, -vy
+    J[1, 0], J[1, 1], J[1, 2], J[1, 3] = uy, vy, ux, vx
+    J[0, 4], J[0, 5] = state[lanes.LY + m] - left * y, state[lanes.RY + m] - right * y
+    J[1, 4], J[1, 5] = left * x - state[lanes.LX + m], right * x - state[lanes.RX + m]
+    J[0, 6] = state[lanes.IX + m] + state[lanes.QY + m] - turn * y
+    J[1, 6] = state[lanes.IY + m] - state[lanes.QX + m] + turn * x
+    J[2, 0] = J[2, 1] = J[2, 2] = J[2, 3] = 0.0
+    J[2, 4], J[2, 5], J[2, 6] = left, right, turn
+
+
+@njit(cache=True)
+def rollout_matrix(
+    A: FloatArray, distance: FloatArray, by_lag: FloatArray, offsets: np.ndarray, motion: FloatArray, J: FloatArray
+) -> None:
+    """Motion of a model that is linear in the rim speeds, and its derivative.
+
+    Args:
+        A: (3, 2) of the model.
+        distance: (s, 2) [m] rolled by the left and the right side in each step.
+        by_lag: (s, 2) [m/s] its derivative by the lag; or (0, 2): taken as zero.
+        offsets: (k + 1,) steps offsets[i]:offsets[i + 1] belong to window i.
+        motion: out, (k, 3).
+        J: out, (k, 3, 7) derivative by the six entries of A, row by row, and by the lag; or (1, 3, 7): not wanted, what
+            is written there means nothing.
+    """
+    k, wide, lagged = len(offsets) - 1, 2 * lanes.LANES, len(by_lag) > 0
+    state, tile = np.empty(lanes.ROWS * lanes.LANES), np.empty((0, 2 * wide))
+    for first in range(0, k, lanes.LANES):
+        behind, steps = min(first + lanes.LANES, k), lanes.longest(offsets, first)
+        if steps > len(tile):
+            tile = np.empty((2 * steps, 2 * wide))
+        rows = tile[:steps]
+        lanes.clear(state)
+        total = state[lanes.TOTAL : lanes.TOTAL + wide]
+        left, right = lanes.fill(distance, offsets, first, 0, rows, total) if steps > 0 else (np.inf, np.inf)
+        if not 0.5 * (abs(A[2, 0]) * left + abs(A[2, 1]) * right) < lanes.LIMIT:
+            for w in range(first, behind):
+                _one_window(A, distance, by_lag, offsets[w], offsets[w + 1], motion[w], J[min(w, len(J) - 1)])
+            continue
+        if lagged:
+            lanes.fill(by_lag, offsets, first, wide, rows, state[lanes.LAG_TOTAL : lanes.LAG_TOTAL + wide])
+        for i in range(steps):
+            lanes.advance(A, rows[i], state, lagged)
+        for w in range(first, behind):
+            _store(A, state, w - first, motion[w], J[min(w, len(J) - 1)])
+
+
+@njit(cache=True)
+def slide(
+    motion: FloatArray, first: FloatArray, last: FloatArray, by_parameter: FloatArray, by_lag: FloatArray
+) -> FloatArray:
+    """Derivative (k, 3, p + 2) of motions (k, 3) by parameters, time offset and lag, from those by the others.
+
+    A window that slides gains at its start and loses at its end. From T(a, b): dT/db is the body twist at b turned by
+    the yaw of T, dT/da is minus that at a, moved to the end.
+
+    Args:
+        motion: (k, 3).
+        first: (k, 3) body twist at the start.
+        last: (k, 3) body twist at the end.
+        by_parameter: (k, 3, p).
+        by_lag: (k, 3).
+    """
+    k, p = len(motion), by_parameter.shape[2]
+    out = np.empty((k, 3, p + 2))
     for w in range(k):
-        x = y = left = right = yaw_lag = x_lag = y_lag = 0.0
-        xl = yl = xr = yr = xa = ya = xb = yb = 0.0
-        c, s = 1.0, 0.0
-        for i in range(offsets[w], offsets[w + 1]):
-            dl, dr = distance[i, 0], distance[i, 1]
-            ch, sh, sinc, slope = _half_rotation(0.5 * (A[2, 0] * dl + A[2, 1] * dr))
-            cm, sm = c * ch - s * sh, s * ch + c * sh
-            c, s = cm * ch - sm * sh, sm * ch + cm * sh
-            cs, ss = sinc * cm, sinc * sm
-            xl += cs * dl
-            yl += ss * dl
-            xr += cs * dr
-            yr += ss * dr
-            bx, by = A[0, 0] * dl + A[0, 1] * dr, A[1, 0] * dl + A[1, 1] * dr
-            ux, uy = cm * bx - sm * by, sm * bx + cm * by
-            turn_l, turn_r = sinc * (left + 0.5 * dl), sinc * (right + 0.5 * dr)
-            xa += -turn_l * uy + 0.5 * slope * dl * ux
-            ya += turn_l * ux + 0.5 * slope * dl * uy
-            xb += -turn_r * uy + 0.5 * slope * dr * ux
-            yb += turn_r * ux + 0.5 * slope * dr * uy
-            left += dl
-            right += dr
-            ll, lr = by_lag[i, 0], by_lag[i, 1]
-            half = 0.5 * (A[2, 0] * ll + A[2, 1] * lr)
-            lx, ly = A[0, 0] * ll + A[0, 1] * lr, A[1, 0] * ll + A[1, 1] * lr
-            turn = sinc * (yaw_lag + half)
-            x_lag += cs * lx - ss * ly - turn * uy + slope * half * ux
-            y_lag += ss * lx + cs * ly + turn * ux + slope * half * uy
-            yaw_lag += 2.0 * half
-        x = A[0, 0] * xl + A[0, 1] * xr - A[1, 0] * yl - A[1, 1] * yr
-        y = A[0, 0] * yl + A[0, 1] * yr + A[1, 0] * xl + A[1, 1] * xr
-        motion[w] = x, y, A[2, 0] * left + A[2, 1] * right
-        J = jacobian[w]
-        J[0, 0], J[0, 1], J[0, 2], J[0, 3], J[0, 4], J[0, 5], J[0, 6] = xl, xr, -yl, -yr, xa, xb, x_lag
-        J[1, 0], J[1, 1], J[1, 2], J[1, 3], J[1, 4], J[1, 5], J[1, 6] = yl, yr, xl, xr, ya, yb, y_lag
-        J[2, 4], J[2, 5], J[2, 6] = left, right, yaw_lag
-    return motion, jacobian
+        for i in range(3):
+            for m in range(p):
+                out[w, i, m] = by_parameter[w, i, m]
+            out[w, i, p + 1] = by_lag[w, i]
+        c, s, omega = math.cos(motion[w, 2]), math.sin(motion[w, 2]), first[w, 2]
+        out[w, 0, p] = first[w, 0] - omega * motion[w, 1] - (c * last[w, 0] - s * last[w, 1])
+        out[w, 1, p] = first[w, 1] + omega * motion[w, 0] - (s * last[w, 0] + c * last[w, 1])
+        out[w, 2, p] = omega - last[w, 2]
+    return out
