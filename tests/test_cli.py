@@ -99,7 +99,7 @@ def test_compare_shows_every_model(short: Path, run: Run) -> None:
     document = json.loads(run("compare", short, "--json").stdout)
     assert set(document["models"]) >= {"differential", "multiplier", "icr_symmetric", "icr", "linear"}
     assert document["selected"] in document["models"]
-    assert document["models"]["differential"]["against_best"]["yaw"]["p_worse"] < 0.025
+    assert document["models"]["differential"]["against_best"]["yaw"]["p_worse"] < 0.05
 
 
 def test_tables_are_for_people(calibrated: tuple[Path, dict[str, object]], short: Path, run: Run) -> None:

@@ -79,7 +79,7 @@ def _parameters(calibration: Calibration) -> Table:
 def _numbers(e: Estimate) -> tuple[str, str]:
     """Value and sigma, to two digits of the sigma."""
     if e.sigma == 0.0:
-        return f"{e.value:.6g}", "given"
+        return f"{e.value:.6g}", "fixed"
     digits = min(max(0, -int(f"{e.sigma:e}".split("e")[1]) + 1), 8)
     return f"{e.value:.{digits}f}", f"{e.sigma:.{digits}f}"
 

@@ -15,7 +15,7 @@ from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
 from skidsteer.identify.holdout import HeldOutErrors, held_out
-from skidsteer.identify.least_squares import Fit, FitOptions, fit
+from skidsteer.identify.least_squares import Fit, FitOptions, fit_supported
 from skidsteer.identify.select import Selection, select
 from skidsteer.identify.spacing import choose_spacing
 from skidsteer.identify.unknowns import UNITS
@@ -82,7 +82,7 @@ def calibrate(
     chosen, because = _choose(options, judged)
     _tell(progress, f"fitting {chosen}", len(names), len(names) + 1)
     start = MODELS[chosen].nominal(drives[0].vehicle)
-    found = fit(start, drives, windows, options.fit)
+    found = fit_supported(start, drives, windows, options.fit)
     notes = []
     if options.method == "genetic":
         found, note = genetic_fit(found, drives, windows, GeneticOptions(seed=options.seed))

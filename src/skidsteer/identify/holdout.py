@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skidsteer.drive import Drive
-from skidsteer.identify.least_squares import FitOptions, fit
+from skidsteer.identify.least_squares import FitOptions, fit_supported
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
@@ -69,7 +69,7 @@ def held_out(
         train = [w.where(_block(w.start, e) % 2 != fold) for w, e in zip(increments, edges, strict=True)]
         if not any(map(len, train)):
             return None
-        found = fit(start, drives, train, options)
+        found = fit_supported(start, drives, train, options)
         for i, (drive, e) in enumerate(zip(drives, edges, strict=True)):
             judged = window_errors(found.model, drive, found.timings[i], length, found.mount)
             first, last = _block(judged.start, e), _block(np.nextafter(judged.end, -np.inf), e)

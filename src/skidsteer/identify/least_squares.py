@@ -40,6 +40,7 @@ class FitOptions:
     )  # of the reference's sensor; None: estimated (models symmetric about the origin)
     use_gyro: bool = True  # a gyro, where there is one, tells turns beside the reference
     fix_model: bool = False  # keep the model's parameters, estimate only the timing
+    without: tuple[str, ...] = ()  # parameters of the model that stay as they are
     noise: Noise | None = None  # fixed to this; None: estimated
     robust: bool = True  # weigh down outliers
     search: tuple[float, float] = (-1.0, 1.5)  # [s] where the time offset is looked for
@@ -114,6 +115,30 @@ def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitO
     return problem.result(state, noise, weights, count + used, used < options.iterations)
 
 
+SUPPORTED = 1.5  # [sigma] that an optional parameter must differ from nothing by
+
+
+def fit_supported(model: Model, drives: list[Drive], windows: list[Windows], options: FitOptions = FitOptions()) -> Fit:
+    """As ``fit``, with only those of the model's optional parameters that the drives support.
+
+    Backward elimination: the least significant one by the honest covariance is left out (stays nominal) and the rest is
+    fitted again, until every one that is left differs from nominal by ``SUPPORTED`` sigmas.
+    """
+    while True:
+        found = fit(model, drives, windows, options)
+        left = [name for name in model.OPTIONAL if name not in options.without]
+        strength = {name: abs(_difference(found, model, name)) for name in left}
+        if not strength or min(strength.values()) >= SUPPORTED:
+            return found
+        options = replace(options, without=(*options.without, min(strength, key=lambda name: strength[name])))
+
+
+def _difference(found: Fit, start: Model, name: str) -> float:
+    """By how many sigmas a parameter differs from where it started."""
+    value, sigma = found.named(name)
+    return (value - float(getattr(start, name))) / sigma if sigma > 0.0 else 0.0
+
+
 def _start(
     model: Model, drives: list[Drive], windows: list[Windows], options: FitOptions
 ) -> tuple[Unknowns, np.ndarray]:
@@ -129,7 +154,8 @@ def _start(
         free_own += [not known, with_gyro, with_gyro, with_gyro]
     mount = options.mount or Mount()
     x = np.array([*model.theta, 0.05 if options.lag is None else options.lag, mount.x, mount.y, mount.yaw, *own])
-    shared = [not options.fix_model] * len(model.theta) + [options.lag is None]
+    shared = [not options.fix_model and p.name not in options.without for p in model.PARAMETERS]
+    shared += [options.lag is None]
     shared += [options.mount is None] * 2 + [options.mount is None and any(w.sees == "pose" for w in windows)]
     return Unknowns(model, x, len(drives)), np.array(shared + free_own)
 

@@ -88,4 +88,4 @@ class Unknowns:
         """What is known of each entry before the drive, (m,): for parameters the spread of their bounds."""
         bounds = type(self.family).bounds(drives[0].vehicle)
         nuisance = [PRIOR_SIGMA[name] for name in (*SHARED, *OF_DRIVE * self.drives)]
-        return np.concatenate([(bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0), np.array(nuisance)])
+        return np.asarray(np.concatenate([(bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0), np.array(nuisance)]))

@@ -4,6 +4,7 @@ from skidsteer.models.differential import Differential, Multiplier
 from skidsteer.models.icr import Icr, SymmetricIcr
 from skidsteer.models.linear import Linear
 from skidsteer.models.model import MatrixModel, Model, Parameter
+from skidsteer.models.scheduled_icr import ScheduledIcr
 
 MODELS: dict[str, type[Model]] = {
     "differential": Differential,
@@ -11,6 +12,7 @@ MODELS: dict[str, type[Model]] = {
     "icr_symmetric": SymmetricIcr,
     "icr": Icr,
     "linear": Linear,
+    "scheduled_icr": ScheduledIcr,
 }
 
 __all__ = [
@@ -22,5 +24,6 @@ __all__ = [
     "Model",
     "Multiplier",
     "Parameter",
+    "ScheduledIcr",
     "SymmetricIcr",
 ]

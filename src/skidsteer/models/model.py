@@ -43,6 +43,7 @@ class Model(ABC):
 
     NAME: ClassVar[str]
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    OPTIONAL: ClassVar[tuple[str, ...]] = ()  # parameters that stay nominal unless the drive supports them
 
     @abstractmethod
     def twist(self, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:
