@@ -1,0 +1,412 @@
+import functools
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import chi2
+
+from skidsteer.drive import Drive, Series
+from skidsteer.errors import DataError
+from skidsteer.identify.calibrate import calibrate
+from skidsteer.identify.least_squares import Fit, FitOptions, find_offset, fit
+from skidsteer.models import Differential, Icr, SymmetricIcr
+from skidsteer.noise import Noise
+from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH
+from skidsteer.se2 import FloatArray, compose
+from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
+from skidsteer.vehicle import preset
+from skidsteer.windows import Timing, Windows, increment_windows, predict
+
+P3AT = preset("pioneer-p3at")
+SEEDS = 200
+WALK, TURN = P3AT_MOTION_NOISE
+NOISE = Noise(position=0.01, yaw=float(np.radians(0.5)), stamp=0.005, walk=WALK, turn=TURN)
+SENSORS = Sensors(5.0, NOISE.position, NOISE.yaw, NOISE.stamp, encoder_step=1.0 / 138_000.0)
+NAMES = ("icr_y_left", "icr_y_right", "icr_x", "alpha_left", "alpha_right", "lag", "time_offset")
+# duration [s], v [m/s], omega [rad/s]: 69 s of straights, circles, turns on the spot, S-curves, forwards and backwards
+MANOEUVRES = [
+    *([1, 0, 0], [4, 0.5, 0], [5, 0, 0.8], [5, 0.5, 0.4], [5, 0.5, -0.4], [5, 0, -0.8], [4, -0.4, 0]),
+    *([2, 0.4, 0.9], [2, 0.4, -0.9], [2, 0.6, 0.6], [2, 0.6, -0.6], [5, 0.3, 0.4], [5, 0.3, -0.4], [4, 0.6, 0]),
+    *([3, 0, 1.2], [3, 0, -1.2], [4, -0.5, 0.4], [4, -0.5, -0.4], [3, 0.2, 0.2], [1, 0, 0]),
+]
+STRAIGHTS = [[1, 0, 0], [5, 0.5, 0], [1, 0, 0], [5, 0.3, 0], [1, 0, 0], [5, -0.5, 0], [2, 0, 0], [5, 0.6, 0], [1, 0, 0]]
+
+
+def rims_of(manoeuvres: list[list[float]]) -> Series:
+    return rims_from_manoeuvres(np.array(manoeuvres, dtype=float), Differential(P3AT.track_width))
+
+
+RIMS = rims_of(MANOEUVRES)
+START, DEFAULT = Icr.nominal(P3AT), FitOptions()
+
+
+def offset_of(seed: int) -> float:
+    return float(np.random.default_rng(10_000 + seed).uniform(-0.3, 0.3))
+
+
+def drive_of(seed: int, name: str = "d", late: float | None = None) -> Drive:
+    late = offset_of(seed) if late is None else late
+    sensors = replace(SENSORS, reference_delay=late)
+    return kinematic_drive(name, P3AT, P3AT_TRUTH, RIMS, sensors, P3AT_LAG, P3AT_MOTION_NOISE, seed)
+
+
+def fit_of(drive: Drive, options: FitOptions = DEFAULT) -> Fit:
+    return fit(START, [drive], [increment_windows(drive)], options)
+
+
+def errors_of(found: Fit, late: float) -> tuple[FloatArray, FloatArray]:
+    """Errors (7,) of ``NAMES`` and their reported covariance (7, 7)."""
+    index = [found.names.index(name) for name in NAMES]
+    truth = np.array([*P3AT_TRUTH.theta, P3AT_LAG, late])
+    return found.values[index] - truth, found.covariance[np.ix_(index, index)]
+
+
+def squared_distance(error: FloatArray, covariance: FloatArray) -> float:
+    """NEES: 7 on average for errors that the covariance tells."""
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+# Two hundred drives
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Fits of drives that differ in their noise and time offset only."""
+
+    errors: FloatArray  # (n, 7)
+    distances: FloatArray  # (n,)
+    sigmas: FloatArray  # (n, 7)
+    noises: FloatArray  # (n, 5) found over true
+    converged: np.ndarray
+    inflated: FloatArray
+
+
+@functools.cache
+def trials(count: int, options: FitOptions = DEFAULT) -> Trials:
+    rows = []
+    for seed in range(count):
+        found = fit_of(drive_of(seed), options)
+        error, covariance = errors_of(found, offset_of(seed))
+        sigma, ratio = np.sqrt(np.diag(covariance)), np.array(astuple(found.noise)[:5]) / astuple(NOISE)[:5]
+        rows.append((error, squared_distance(error, covariance), sigma, ratio, found.converged, found.inflated))
+    return Trials(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+@functools.cache
+def cramer_rao() -> FloatArray:
+    """Least covariance (7, 7) of any unbiased estimate: the Fisher information of all increments written out.
+
+    Slopes are finite differences; the covariance is dense, with the pose that neighbours share, to first order.
+    """
+    ideal = replace(SENSORS, position_sigma=0.0, yaw_sigma=0.0, stamp_sigma=0.0)
+    drive = kinematic_drive("ideal", P3AT, P3AT_TRUTH, RIMS, ideal, P3AT_LAG)
+    windows = increment_windows(drive)
+    k, h = len(windows), 1e-6
+
+    def motions(x: FloatArray, w: Windows = windows) -> FloatArray:
+        return predict(Icr(*x[:5]), RIMS, w, Timing(x[6], x[5]))
+
+    truth = np.array([*P3AT_TRUTH.theta, P3AT_LAG, 0.0])
+    slopes = [(motions(truth + h * e) - motions(truth - h * e)) / (2 * h) for e in np.eye(7)]
+    t, short = np.r_[windows.start, windows.end[-1]], 1e-4
+    around = Windows(t - short, t + short, np.zeros((k + 1, 3)), np.zeros(k + 1, bool))
+    twist = motions(truth, around) / (2 * short)
+    fixed = np.diag([NOISE.position**2, NOISE.position**2, NOISE.yaw**2])
+    of_pose, by_pose, of_motion = (
+        np.zeros((3 * k + 3, 3 * k + 3)),
+        np.zeros((3 * k, 3 * k + 3)),
+        np.zeros((3 * k, 3 * k)),
+    )
+    for i in range(k + 1):
+        pose = slice(3 * i, 3 * i + 3)
+        of_pose[pose, pose] = fixed + NOISE.stamp**2 * np.outer(twist[i], twist[i])
+    rolled = np.interp(t, RIMS.t, np.r_[0.0, np.cumsum(np.abs(RIMS.values[:-1]).mean(axis=1) * np.diff(RIMS.t))])
+    for i, (x, y, yaw) in enumerate(motions(truth)):
+        rows = slice(3 * i, 3 * i + 3)
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        by_pose[rows, rows] = -np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        by_pose[rows, 3 * i + 3 : 3 * i + 6] = turn
+        growth = np.diag([WALK**2, WALK**2, TURN**2])
+        of_motion[rows, rows] = (rolled[i + 1] - rolled[i]) * turn @ growth @ turn.T
+    covariance = of_motion + by_pose @ of_pose @ by_pose.T
+    J = np.stack([s.ravel() for s in slopes], axis=1)
+    return np.asarray(np.linalg.inv(J.T @ np.linalg.solve(covariance, J)))
+
+
+def test_estimates_are_unbiased() -> None:
+    errors = trials(SEEDS).errors
+    standard_error = errors.std(axis=0, ddof=1) / np.sqrt(SEEDS)
+    assert (np.abs(errors.mean(axis=0)) < 3.0 * standard_error).all()
+
+
+def test_errors_reach_the_cramer_rao_bound() -> None:
+    rms = np.sqrt((trials(SEEDS).errors ** 2).mean(axis=0))
+    ratio = rms / np.sqrt(np.diag(cramer_rao()))
+    assert (ratio < 1.15).all()
+    assert (ratio > 0.85).all()  # three standard errors: nothing beats it, or the bound is wrong
+
+
+def test_errors_scatter_as_the_bound_says() -> None:
+    """All seven together, correlations and all: the mean squared distance lies in its 95 % chi-square band."""
+    distances = [squared_distance(e, cramer_rao()) for e in trials(SEEDS).errors]
+    low, high = chi2.ppf([0.025, 0.975], 7 * SEEDS) / SEEDS
+    assert low < np.mean(distances) < high
+
+
+def test_reported_covariance_is_honest_when_the_noise_is_known() -> None:
+    known = trials(SEEDS // 2, FitOptions(noise=NOISE))
+    low, high = chi2.ppf([0.025, 0.975], 7 * SEEDS // 2) / (SEEDS // 2)
+    assert low < known.distances.mean() < high
+    assert_allclose(np.median(known.sigmas, axis=0), np.sqrt(np.diag(cramer_rao())), rtol=0.03)
+
+
+def test_reported_covariance_is_nearly_honest_when_the_noise_is_estimated() -> None:
+    """Its mean squared distance is at most a quarter above 7: sigmas are short by at most a tenth.
+
+    The seven parameters take up some of the slow errors, so that walk and turn come out about 7 % low, and their own
+    uncertainty does not enter the sigmas.
+    """
+    found = trials(SEEDS)
+    low = chi2.ppf(0.025, 7 * SEEDS) / SEEDS
+    assert low < found.distances.mean() < 1.25 * 7.0
+    ratio = np.median(found.sigmas, axis=0) / np.sqrt(np.diag(cramer_rao()))
+    assert ((ratio > 0.9) & (ratio < 1.05)).all()
+
+
+def test_noise_is_found_with_the_parameters() -> None:
+    ratio = trials(SEEDS).noises.mean(axis=0)
+    assert_allclose(ratio[:2], 1.0, atol=0.02)
+    assert_allclose(ratio[2:], 1.0, atol=0.12)
+
+
+def test_every_fit_converges_and_none_is_inflated() -> None:
+    """By chance the test of the covariance cries wolf in one fit of a thousand."""
+    assert trials(SEEDS).converged.all()
+    assert (trials(SEEDS).inflated > 1.0).sum() <= 2
+
+
+# What is fixed
+
+
+def test_fixed_timing_is_kept() -> None:
+    drive = drive_of(1)
+    found = fit_of(drive, FitOptions(time_offset=0.05, lag=0.02))
+    assert found.timings == (Timing(0.05, 0.02),)
+    assert found.named("time_offset") == (0.05, 0.0)
+    assert found.named("lag") == (0.02, 0.0)
+    assert not found.free[[found.names.index("time_offset"), found.names.index("lag")]].any()
+    assert found.free[:5].all()
+    right = fit_of(drive, FitOptions(time_offset=offset_of(1), lag=P3AT_LAG))
+    assert right.deviance < found.deviance - 100.0
+    assert right.deviance < fit_of(drive).deviance + 20.0
+
+
+def test_a_known_lag_makes_the_offset_sharper() -> None:
+    """Together, lag and time offset are told apart only by what the lag does to changes of speed."""
+    drive = drive_of(2)
+    both, one = fit_of(drive), fit_of(drive, FitOptions(lag=P3AT_LAG))
+    assert one.named("time_offset")[1] < 0.3 * both.named("time_offset")[1]
+    assert abs(one.named("time_offset")[0] - offset_of(2)) < 4.0 * one.named("time_offset")[1]
+    i, j = (both.names.index(name) for name in ("lag", "time_offset"))
+    assert both.covariance[i, j] < -0.9 * np.sqrt(both.covariance[i, i] * both.covariance[j, j])
+
+
+def test_a_fixed_model_is_kept() -> None:
+    found = fit(P3AT_TRUTH, [drive_of(3)], [increment_windows(drive_of(3))], FitOptions(fix_model=True, lag=P3AT_LAG))
+    assert found.model == P3AT_TRUTH
+    assert abs(found.named("time_offset")[0] - offset_of(3)) < 4.0 * found.named("time_offset")[1]
+    assert_array_equal(np.diag(found.covariance)[:5], 0.0)
+
+
+def test_fixed_noise_is_kept() -> None:
+    assert fit_of(drive_of(4), FitOptions(noise=NOISE)).noise == NOISE
+
+
+def test_the_same_drive_gives_the_same_fit() -> None:
+    a, b = fit_of(drive_of(5)), fit_of(drive_of(5))
+    assert_array_equal(a.values, b.values)
+    assert_array_equal(a.covariance, b.covariance)
+
+
+def test_the_start_does_not_matter() -> None:
+    drive = drive_of(6)
+    far = fit(Icr(0.5, -0.7, 0.2, 1.2, 0.7), [drive], [increment_windows(drive)])
+    near = fit(P3AT_TRUTH, [drive], [increment_windows(drive)])
+    sigma = np.sqrt(np.diag(near.covariance))
+    assert (np.abs(far.values - near.values) <= 0.1 * sigma).all()
+
+
+def test_find_offset_comes_within_its_grid() -> None:
+    for seed in range(5):
+        drive = drive_of(seed)
+        found = find_offset(START, drive, increment_windows(drive), (-1.0, 1.5))
+        assert abs(found - offset_of(seed) - P3AT_LAG) < 0.08  # the lag looks like a delay
+
+
+def test_estimates_shrink_with_more_data() -> None:
+    drive = drive_of(7)
+    half = drive.between(0.0, 35.0)
+    whole, part = fit_of(drive), fit_of(half)
+    assert (np.diag(whole.covariance)[:5] < np.diag(part.covariance)[:5]).all()
+
+
+def test_no_windows_are_refused() -> None:
+    windows = increment_windows(drive_of(0)).where(np.zeros(len(increment_windows(drive_of(0))), bool))
+    with pytest.raises(DataError, match=r"^d: wheels and reference share no stretch of time; check their clocks$"):
+        fit(START, [drive_of(0)], [windows])
+
+
+# Several drives
+
+
+def test_two_drives_share_the_model_but_not_the_offset() -> None:
+    drives = [drive_of(11, "a", late=0.25), drive_of(12, "b", late=-0.2)]
+    windows = [increment_windows(d) for d in drives]
+    both = fit(START, drives, windows)
+    assert [t.lag for t in both.timings] == [both.named("lag")[0]] * 2
+    for name, late, timing in (("a", 0.25, both.timings[0]), ("b", -0.2, both.timings[1])):
+        value, sigma = both.named(f"time_offset:{name}")
+        assert timing.time_offset == value
+        assert abs(value - late) < 4.0 * sigma < 0.1
+    assert (np.abs(both.values[:5] - P3AT_TRUTH.theta) < 4.0 * np.sqrt(np.diag(both.covariance)[:5])).all()
+    # twice the information about all that is shared: sigmas smaller by the root of two
+    alone = np.mean([np.linalg.inv(fit_of(d).covariance[:5, :5]) for d in drives], axis=0)
+    ratio = np.sqrt(np.diag(both.covariance)[:5] / np.diag(np.linalg.inv(alone)))
+    assert_allclose(ratio, np.sqrt(0.5), rtol=0.15)
+
+
+def test_the_order_of_drives_does_not_matter() -> None:
+    drives = [drive_of(13, "a"), drive_of(14, "b")]
+    windows = [increment_windows(d) for d in drives]
+    one, other = fit(START, drives, windows), fit(START, drives[::-1], windows[::-1])
+    for name in (*NAMES[:6], "time_offset:a", "time_offset:b"):
+        assert abs(one.named(name)[0] - other.named(name)[0]) < 0.02 * one.named(name)[1]
+
+
+# Outliers
+
+
+def test_gross_outliers_do_not_bias() -> None:
+    """One reference pose in twenty is anywhere within a metre and a radian: errors stay what the sigmas say."""
+    scores, distances = [], []
+    for seed in range(12):
+        drive, rng = drive_of(seed), np.random.default_rng(seed)
+        assert drive.pose is not None
+        values = drive.pose.values.copy()
+        wrong = rng.uniform(size=len(values)) < 0.05
+        values[wrong] = compose(values[wrong], rng.uniform(-1.0, 1.0, (wrong.sum(), 3)))
+        found = fit_of(replace(drive, pose=Series(drive.pose.t, values)))
+        error, covariance = errors_of(found, offset_of(seed))
+        scores.append(error / np.sqrt(np.diag(covariance)))
+        distances.append(squared_distance(error, covariance))
+        spoiled = np.isin(increment_windows(drive).end, drive.pose.t[wrong])
+        marked = found.weights[0].end < 0.5
+        assert marked[spoiled].mean() > 0.75
+        assert marked[~spoiled].mean() < 0.1
+    assert (np.abs(np.mean(scores, axis=0)) < 1.0).all()  # and so far from 2 sigma
+    assert (np.abs(scores) < 4.5).all()
+    assert np.mean(distances) < 2.0 * 7.0
+    assert np.sqrt(np.mean(np.square(scores), axis=0)).max() < 2.0
+
+
+def test_jumps_of_the_reference_do_not_bias() -> None:
+    scores = []
+    for seed in range(6):
+        drive = drive_of(seed)
+        assert drive.pose is not None
+        values = drive.pose.values.copy()
+        for first in (len(values) // 4, len(values) // 2, 3 * len(values) // 4):
+            values[first:] = compose([0.5, -0.3, 0.4], values[first:])
+        found = fit_of(replace(drive, pose=Series(drive.pose.t, values)))
+        error, covariance = errors_of(found, offset_of(seed))
+        scores.append(error / np.sqrt(np.diag(covariance)))
+        assert (np.abs(error[:5]) < 0.01).all()
+    assert (np.abs(scores) < 4.0).all()
+
+
+def test_without_robustness_outliers_do_harm() -> None:
+    """The test above would see it."""
+    drive, rng = drive_of(0), np.random.default_rng(0)
+    assert drive.pose is not None
+    values = drive.pose.values.copy()
+    wrong = rng.uniform(size=len(values)) < 0.05
+    values[wrong] = compose(values[wrong], rng.uniform(-1.0, 1.0, (wrong.sum(), 3)))
+    found = fit_of(replace(drive, pose=Series(drive.pose.t, values)), FitOptions(robust=False))
+    assert (found.weights[0].end == 1.0).all()
+    assert found.noise.position > 0.1
+
+
+# Calibration: what a drive does not tell, and what is refused
+
+
+def test_straights_alone_do_not_tell_the_icrs() -> None:
+    truth = SymmetricIcr(0.28, 0.92)
+    drive = kinematic_drive("straight", P3AT, truth, rims_of(STRAIGHTS), SENSORS, P3AT_LAG, P3AT_MOTION_NOISE, 1)
+    calibration = calibrate(drive, "icr")
+    determined = {name: e.determined for name, e in calibration.parameters.items()}
+    assert determined == {
+        "icr_y_left": False,
+        "icr_y_right": False,
+        "icr_x": False,
+        "alpha_left": True,
+        "alpha_right": True,
+    }
+    assert any(
+        w.startswith("not determined by this drive: icr_y_left, icr_y_right, icr_x") for w in calibration.warnings
+    )
+    for name in ("alpha_left", "alpha_right"):
+        estimate = calibration.parameters[name]
+        assert abs(estimate.value - 0.92) < 4.0 * estimate.sigma < 0.02
+
+
+def test_a_varied_drive_tells_everything() -> None:
+    calibration = calibrate(drive_of(20), "icr")
+    assert all(e.determined for e in calibration.estimates.values())
+    truth = dict(zip(NAMES, [*P3AT_TRUTH.theta, P3AT_LAG, offset_of(20)], strict=True))
+    for name, value in truth.items():
+        estimate = calibration.estimates[name]
+        assert abs(estimate.value - value) < 4.0 * estimate.sigma
+    assert calibration.estimates["icr_y_left"].unit == "m"
+    assert calibration.estimates["lag"].unit == "s"
+
+
+def test_calibrate_takes_two_drives() -> None:
+    calibration = calibrate([drive_of(21, "a", late=0.3), drive_of(22, "b", late=-0.1)], "icr")
+    assert calibration.estimates["time_offset:a"].value == pytest.approx(0.3, abs=0.05)
+    assert calibration.estimates["time_offset:b"].value == pytest.approx(-0.1, abs=0.05)
+    assert [r.name for r in calibration.provenance.drives] == ["a", "b"]
+
+
+def still(seconds: float) -> Series:
+    t = np.arange(0.0, seconds, 0.05)
+    return Series(t, np.zeros((len(t), 2)), "wheels")
+
+
+def pose_of(drive: Drive) -> Series:
+    assert drive.pose is not None
+    return drive.pose
+
+
+@pytest.mark.parametrize(
+    ("drive", "message"),
+    [
+        (replace(drive_of(0), pose=None), r"^d: has no reference; "),
+        (
+            replace(drive_of(0, late=0.0), pose=Series(pose_of(drive_of(0)).t + 500.0, pose_of(drive_of(0)).values)),
+            r"^d: wheels \(0\.0 to 69\.0 s\) and .* \(5\d\d\.\d to 56\d\.\d s\) share no time .* onto one clock$",
+        ),
+        (
+            replace(drive_of(0), wheels=still(69.0)),
+            r"^d: the robot stands still \(the wheels moved by 0\.00 m in all\); record a drive with straights",
+        ),
+        (
+            replace(drive_of(0), pose=Series(np.arange(0.0, 60.0, 0.2), np.zeros((300, 3)), "pose")),
+            r"^d: the robot stands still \(the reference moved by 0\.00 m in all\)",
+        ),
+        (drive_of(0, late=0.0).between(1.0, 4.0), r"^d: only [23]\.\d s of reference; at least 4 s needed$"),
+    ],
+)
+def test_calibrate_refuses(drive: Drive, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        calibrate(drive)
