@@ -3,7 +3,7 @@
 With v, omega of the constant ICR (Mandow 2007, Eqs. (2)-(7)) the body moves with
 
     v_x    = v / (1 + turn_loss omega^2)
-    omega' = omega (1 + yaw_gain |v| / (KNEE + |v|))
+    omega' = omega (1 + yaw_gain v^2 / (KNEE^2 + v^2))
     v_y    = -icr_x omega' - side_slip v omega / (1 + slip_fade |v|)
 
 ``side_slip``: pushed outwards by the lateral acceleration v omega, the robot slips to the outside of the turn;
@@ -70,7 +70,7 @@ class ScheduledIcr(Model):
         return np.stack([v / (1.0 + self.turn_loss * omega**2), v_y, turn], axis=-1)
 
     def _gain(self, v: FloatArray) -> FloatArray:
-        return np.asarray(1.0 + self.yaw_gain * np.abs(v) / (KNEE + np.abs(v)))
+        return np.asarray(1.0 + self.yaw_gain * v**2 / (KNEE**2 + v**2))
 
     def _fade(self, v: FloatArray) -> FloatArray:
         return np.asarray(1.0 + self.slip_fade * np.abs(v))
@@ -78,7 +78,7 @@ class ScheduledIcr(Model):
     def _by_constant(self, v: FloatArray, omega: FloatArray) -> FloatArray:
         """Derivative (..., 3, 2) of the twist by v and omega of the constant ICR."""
         loss = 1.0 + self.turn_loss * omega**2
-        turn_by_v = self.yaw_gain * omega * KNEE * np.sign(v) / (KNEE + np.abs(v)) ** 2
+        turn_by_v = self.yaw_gain * omega * 2.0 * v * (KNEE / (KNEE**2 + v**2)) ** 2
         turn_by_omega = self._gain(v)
         rows = (
             (1.0 / loss, -2.0 * v * self.turn_loss * omega / loss**2),
@@ -94,7 +94,7 @@ class ScheduledIcr(Model):
         v, omega = _planar(self.constant.twist(v_left, v_right))
         by_icr = self._by_constant(v, omega) @ self.constant.parameter_jacobian(v_left, v_right)[..., [0, 2], :]
         by_icr[..., 1, 2] -= omega * self._gain(v)  # icr_x itself
-        by_gain = omega * np.abs(v) / (KNEE + np.abs(v))
+        by_gain = omega * v**2 / (KNEE**2 + v**2)
         none = np.zeros_like(v)
         by_turn_loss = np.stack([-v * (omega / (1.0 + self.turn_loss * omega**2)) ** 2, none, none], axis=-1)
         by_side_slip = np.stack([none, -v * omega / self._fade(v), none], axis=-1)
