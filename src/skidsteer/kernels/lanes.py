@@ -13,6 +13,7 @@ from numba import njit
 from skidsteer.se2 import FloatArray
 
 LANES = 32  # windows in a tile: state and steps of a tile stay in the first-level cache
+LINE = 8  # numbers in a cache line
 LIMIT = 0.2  # [rad] half angle of a step up to which the series are exact to 1e-13
 FILLED = 8  # lanes pay while at least one in this many of a tile's places holds a step
 ROWS = 20  # of state: see the constants below, LANES numbers each
@@ -66,6 +67,14 @@ def advance(A: FloatArray, row: FloatArray, state: FloatArray, lagged: bool) -> 
             state[IY + m] += ss * lx + cs * ly
             state[QX + m] += mx * turn
             state[QY + m] += my * turn
+
+
+@njit(cache=True)
+def empty_state() -> FloatArray:
+    """State of a tile, uninitialised; at the start of a cache line, for vectors that span two are slow."""
+    room = np.empty(ROWS * LANES + LINE)
+    first = (-room.ctypes.data // 8) % LINE
+    return room[first : first + ROWS * LANES]
 
 
 @njit(cache=True)

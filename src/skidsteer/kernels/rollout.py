@@ -155,7 +155,7 @@ def rollout_matrix(
             is written there means nothing.
     """
     k, wide, lagged = len(offsets) - 1, 2 * lanes.LANES, len(by_lag) > 0
-    state, tile = np.empty(lanes.ROWS * lanes.LANES), np.empty((0, 2 * wide))
+    state, tile = lanes.empty_state(), np.empty((0, 2 * wide))
     for first in range(0, k, lanes.LANES):
         behind, steps = min(first + lanes.LANES, k), lanes.longest(offsets, first)
         if steps > len(tile):
