@@ -227,10 +227,13 @@ def test_poor_fixes_are_dropped_and_counted(tmp_path: Path) -> None:
     assert "2 of 11 messages without a fix and 1 with a poor one dropped" in notes
 
 
-def test_no_fix_at_all_is_refused(tmp_path: Path) -> None:
-    messages = [*WHEELS, *(fix(index, 0.0, 0.0, status=-1) for index in range(4))]
+def test_topic_of_no_use_is_left_out_and_refused_where_asked_for(tmp_path: Path) -> None:
+    path = write_messages(tmp_path / "b", "mcap", [*WHEELS, *(fix(i, 0.0, 0.0, status=-1) for i in range(4))])
+    drive, contents = read_bag_noted(path, VEHICLE)
+    assert drive.reference is None
+    assert "reference left out: /gps/fix: none of its 4 messages holds a GNSS fix" in contents.notes
     with pytest.raises(DataError, match="/gps/fix: none of its 4 messages holds a GNSS fix"):
-        read(tmp_path, messages)
+        read_bag(path, VEHICLE, BagOptions(reference_topic="/gps/fix"))
 
 
 def test_unknown_altitude_does_not_drop_a_fix(tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from skidsteer.errors import DataError, RequestError
 from skidsteer.io.messages import JOINT_STATE, Samples, gather
 from skidsteer.io.open_bag import is_bag, open_bag
 from skidsteer.io.options import AUTOMATIC, BagOptions
-from skidsteer.io.raw import BagTopic, Source
-from skidsteer.io.reference import Frames, read_gyro, read_reference, static_edges
+from skidsteer.io.raw import BagTopic, Source, shown
+from skidsteer.io.reference import Frames, read_gyro, read_reference
 from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
 from skidsteer.io.topics import ROLES, TF_TYPES, Choice, Looks, candidates, choose, offer
 from skidsteer.io.wheels import joint_wheels, pair_wheels, sides_in, twist_wheels
@@ -117,11 +117,8 @@ def _look(source: Source, options: BagOptions) -> Looks:
 
 
 def _peek(source: Source, topic: BagTopic, limit: int) -> list[Samples]:
-    """The first messages of a topic; none where they are damaged, which is told when they are read for use."""
-    try:
-        return gather(source, [topic], [], limit)[topic] if topic.count else []
-    except DataError:
-        return []
+    """The first messages of a topic; what is damaged in them is told when they are read for use."""
+    return gather(source, [topic], [], limit)[topic] if topic.count else []
 
 
 def _has_sides(tables: Sequence[Samples], options: BagOptions) -> bool:
@@ -159,26 +156,63 @@ def _needs(topic: BagTopic, wanted: Sequence[BagTopic]) -> bool:
 def _parts(
     tables: Mapping[BagTopic, list[Samples]], choice: Choice, vehicle: Vehicle, options: BagOptions, notes: list[str]
 ) -> dict[str, Timed]:
-    """The parts of the drive, by the names of its fields."""
-    chosen = {role: candidate.topics for role, candidate in choice.chosen.items()}
-    wheels, clock = _wheels(chosen["wheels"], tables, vehicle, options, notes)
+    """The parts of the drive, by the names of its fields.
+
+    Of the wheels, and of what the user asked for, faults are raised; of the rest they are noted, and it is left out.
+    """
+    for topic in (topic for candidate in choice.chosen.values() for topic in candidate.topics):
+        if not tables[topic] and not any(note.startswith(f"{shown(topic.name)}: ") for note in notes):
+            notes.append(f"{shown(topic.name)}: none of its {topic.count} messages can be read")
+    wheels, clock = _wheels(choice.chosen["wheels"].topics, tables, vehicle, options, notes)
     parts = {"wheels": wheels}
-    frames = Frames.of({topic: found for topic, found in tables.items() if topic.type in TF_TYPES}, options)
-    if "reference" in chosen:
-        topic = chosen["reference"][0]
-        parts.update(read_reference(topic, tables[topic], frames, clock, notes))
-    else:
-        notes.append("no topic serves as reference; only what the gyro tells can be calibrated")
-    if "imu" in chosen:
-        topic = chosen["imu"][0]
-        parts["gyro"] = read_gyro(topic, tables[topic], static_edges(tables), options, clock, notes)
-    if "command" in chosen:
-        topic = chosen["command"][0]
-        parts["command"] = clock.timed(concatenated(tables[topic]), topic.name, notes)
-    if "wheel_command" in chosen:
-        topic = chosen["wheel_command"][0]
-        parts["wheel_command"] = joint_wheels(topic.name, tables[topic], vehicle, options, notes)[0]
+    reader = _Reader(tables, Frames.of(tables, options), vehicle, options, clock, notes)
+    asked = {"reference": options.reference_topic, "imu": options.imu_topic, "command": options.command_topic}
+    for role, candidate in choice.chosen.items():
+        try:
+            parts.update(reader.part(role, candidate.topics[0]))
+        except DataError as error:
+            if asked.get(role):
+                raise
+            notes.append(f"{role} left out: {error}")
+    if "pose" not in parts and "position" not in parts:
+        notes.append("no reference; only what a gyro tells can be calibrated")
     return parts
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Makes parts of a drive out of the messages of the topics chosen for them."""
+
+    tables: Mapping[BagTopic, list[Samples]]
+    frames: Frames
+    vehicle: Vehicle
+    options: BagOptions
+    clock: Clock
+    notes: list[str]
+
+    def part(self, role: str, topic: BagTopic) -> dict[str, Timed]:
+        """The part of this role by its name; nothing for the wheels, which were read before."""
+        if role == "wheels":
+            return {}
+        found = _usable(self.tables, topic, self.notes)
+        if role == "reference":
+            return read_reference(topic, found, self.frames, self.clock, self.notes)
+        if role == "imu":
+            return {"gyro": read_gyro(topic, found, self.frames, self.clock, self.notes)}
+        if role == "command":
+            return {"command": self.clock.timed(concatenated(found), shown(topic.name), self.notes)}
+        return {role: joint_wheels(shown(topic.name), found, self.vehicle, self.options, self.notes)[0]}
+
+
+def _usable(tables: Mapping[BagTopic, list[Samples]], topic: BagTopic, notes: list[str]) -> list[Samples]:
+    """The messages of a topic.
+
+    Raises:
+        DataError: there are none; with what is noted of them.
+    """
+    if not tables[topic]:
+        raise DataError(next(note for note in notes if note.startswith(f"{shown(topic.name)}: ")))
+    return tables[topic]
 
 
 def _wheels(
@@ -188,12 +222,13 @@ def _wheels(
     options: BagOptions,
     notes: list[str],
 ) -> tuple[Timed, Clock]:
+    found = [_usable(tables, topic, notes) for topic in topics]
     if len(topics) == 2:
-        return pair_wheels(topics, [concatenated(tables[topic]) for topic in topics], vehicle, options, notes)
-    topic = topics[0]
-    if topic.type == JOINT_STATE:
-        return joint_wheels(topic.name, tables[topic], vehicle, options, notes)
-    return twist_wheels(topic.name, concatenated(tables[topic]), vehicle, options, notes)
+        return pair_wheels(topics, [concatenated(samples) for samples in found], vehicle, options, notes)
+    name = shown(topics[0].name)
+    if topics[0].type == JOINT_STATE:
+        return joint_wheels(name, found[0], vehicle, options, notes)
+    return twist_wheels(name, concatenated(found[0]), vehicle, options, notes)
 
 
 def _contents(

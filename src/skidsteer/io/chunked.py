@@ -220,7 +220,7 @@ class ChunkedSource:
         """The messages of these channels in one chunk, and maybe others."""
         head = self._form.chunk_head(self._file, chunk)
         index = self._file.read(chunk.index_start, index_size)
-        offsets = self._form.message_indexes(index) if index else None
+        offsets = (self._form.message_indexes(index) if index else None) or None
         if offsets is not None and head.compression == "" and not chunk.cut:
             yield from self._picked(*_record_spans(head, offsets, keys))
             return

@@ -119,7 +119,7 @@ def parse_messages(buffer: ByteArray, starts: IntArray) -> MessageTable:
     if not len(starts):
         empty = np.zeros(0, dtype=np.int64)
         return MessageTable(empty, empty, empty, empty)
-    if starts.min() < 0 or starts.max() + MESSAGE_HEAD > buffer.size:
+    if starts.min() < 0 or starts.max() > buffer.size - MESSAGE_HEAD:
         raise DamagedError("a message lies outside its chunk")
     heads = np.lib.stride_tricks.sliding_window_view(buffer, MESSAGE_HEAD)[starts]
     size = np.ascontiguousarray(heads[:, 1:9]).view("<u8")[:, 0]

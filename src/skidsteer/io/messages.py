@@ -142,18 +142,24 @@ def gather(
     """Read and decode topics: for each a list of samples with different labels, [] where there is no message.
 
     Messages that do not fit their definition are left out and counted in ``notes``.
-
-    Raises:
-        DataError: no message of a topic can be decoded.
     """
-    wanted = list(dict.fromkeys(topics))
-    decoders = {topic: Decoder(definitions_of(topic), topic.type, topic.encoding) for topic in wanted}
-    found: dict[BagTopic, list[Samples]] = {topic: [] for topic in wanted}
-    for topic, raw in in_batches(source.read(wanted, limit)):
+    found: dict[BagTopic, list[Samples]] = {topic: [] for topic in topics}
+    decoders = {topic: decoder for topic in found if (decoder := _decoder(topic, notes))}
+    for topic, raw in in_batches(source.read(list(decoders), limit)):
         found[topic] += _tables(decoders[topic], raw)
     for topic, decoder in decoders.items():
-        _report(notes, topic, decoder, empty=not found[topic])
+        if decoder.undecoded:
+            what = f"{decoder.undecoded} messages do not fit {shown(topic.type)} ({shown(decoder.problem)})"
+            notes.append(f"{shown(topic.name)}: {what}; left out")
     return {topic: _merged(samples) for topic, samples in found.items()}
+
+
+def _decoder(topic: BagTopic, notes: list[str]) -> Decoder | None:
+    try:
+        return Decoder(definitions_of(topic), topic.type, topic.encoding)
+    except DataError as error:
+        notes.append(f"{shown(topic.name)}: {error}")
+        return None
 
 
 def _tables(decoder: Decoder, raw: RawMessages) -> list[Samples]:
@@ -165,17 +171,6 @@ def _tables(decoder: Decoder, raw: RawMessages) -> list[Samples]:
             decoder.undecoded += len(block.rows)
             decoder.problem = decoder.problem or str(error)
     return tables
-
-
-def _report(notes: list[str], topic: BagTopic, decoder: Decoder, empty: bool) -> None:
-    if not decoder.undecoded:
-        return
-    what = (
-        f"{shown(topic.name)}: {decoder.undecoded} messages do not fit {shown(topic.type)} ({shown(decoder.problem)})"
-    )
-    if empty:
-        raise DataError(f"{what}; the bag is damaged or its message definition is not the standard one")
-    notes.append(f"{what}; left out")
 
 
 def _merged(samples: list[Samples]) -> list[Samples]:

@@ -12,11 +12,12 @@ import yaml
 
 from skidsteer.errors import DataError
 from skidsteer.io.chunked import ChunkedSource
+from skidsteer.io.compressed import CompressedMessages, UnpackedFiles
 from skidsteer.io.mcap_index import MCAP
 from skidsteer.io.raw import BagTopic, RawMessages, Source, shown
 from skidsteer.io.rosbag1_index import ROSBAG1
-from skidsteer.io.rosbags_source import RosbagsSource, refusing
 from skidsteer.io.sqlite_source import SqliteSource
+from skidsteer.io.text_file import decode, read_bytes
 
 SUFFIXES = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "rosbag1"}
 _MAGIC = {".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0", ".bag": b"#ROSBAG V2.0\n"}
@@ -49,7 +50,7 @@ def open_bag(path: str | os.PathLike[str]) -> Iterator[Source]:
 def _source(path: Path) -> Source:
     try:
         if not path.exists():
-            raise DataError(f"{path}: no such file or folder")
+            raise DataError(f"{shown(path)}: no such file or folder")
         if path.is_dir():
             return _folder(path)
         _refuse_other_files(path)
@@ -62,6 +63,8 @@ def _refuse_other_files(path: Path) -> None:
     """Say what a file is when it is not the bag that its name promises."""
     if path.suffix not in SUFFIXES:
         raise DataError(f"{path}: is no bag; bags are named {', '.join(sorted(SUFFIXES))}, or are a rosbag2 folder")
+    if not path.is_file():
+        raise DataError(f"{path}: is a folder, a device or a pipe, not a file")
     with path.open("rb") as file:
         start = file.read(512)
     kind = SUFFIXES[path.suffix]
@@ -92,12 +95,20 @@ def _folder(path: Path) -> Source:
         return _files(_bag_files(path))
     information = _metadata(path / _METADATA)
     paths = _listed_files(path, information)
-    mode = str(information.get("compression_mode") or "none").lower()
-    if mode != "none":
-        return RosbagsSource(path, f"rosbag2, compressed by {shown(mode, 20)}")
-    suffixes = {file.suffix for file in paths}
-    if len(suffixes) != 1 or not suffixes <= {".mcap", ".db3"}:
-        raise DataError(f"{path / _METADATA}: lists files of the kinds {shown(sorted(suffixes))}; need .mcap or .db3")
+    mode, packing = (str(information.get(f"compression_{part}") or "").lower() for part in ("mode", "format"))
+    if mode in ("", "none"):
+        return _storage_files(paths)
+    if mode not in ("file", "message") or packing != "zstd":
+        how = f"{shown(mode, 20)} with {shown(packing, 20)}"
+        raise DataError(f"{path / _METADATA}: compressed by {how}; only file or message with zstd can be read")
+    return UnpackedFiles(paths, _storage_files) if mode == "file" else CompressedMessages(_storage_files(paths))
+
+
+def _storage_files(paths: Sequence[Path]) -> Source:
+    """Files of a rosbag2 recording, all of one kind."""
+    suffixes = sorted({file.suffix for file in paths})
+    if suffixes not in ([".mcap"], [".db3"]):
+        raise DataError(f"{paths[0].parent}: its files are of the kinds {shown(suffixes)}; need .mcap or .db3")
     for file in paths:
         _refuse_other_files(file)
     return _files(paths)
@@ -114,8 +125,11 @@ def _bag_files(path: Path) -> list[Path]:
     raise DataError(f"{path}: holds no {_METADATA} and no file named {', '.join(sorted(SUFFIXES))}")
 
 
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Safe YAML without aliases, by which a small file can stand for an endless one."""
+class _Loader(yaml.SafeLoader):
+    """Safe YAML without aliases, by which a small file can stand for an endless one.
+
+    Not the loader in C: deep nesting ends that one, and the process with it, where this one raises an error.
+    """
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -124,13 +138,16 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    if path.stat().st_size > _MAX_METADATA:
-        raise DataError(f"{path}: has {path.stat().st_size} bytes; more than {_MAX_METADATA} are not read")
-    with refusing(path, "rosbag2 metadata"):
-        information = yaml.load(path.read_bytes(), Loader=_Loader)["rosbag2_bagfile_information"]
-        if not isinstance(information, dict):
-            raise TypeError("rosbag2_bagfile_information is no mapping")
-        return information
+    try:
+        content = yaml.load(decode(path, read_bytes(path, _MAX_METADATA)), Loader=_Loader)
+        information = content["rosbag2_bagfile_information"]
+    except DataError:
+        raise
+    except Exception as error:  # the library raises many kinds on damaged text
+        raise DataError(f"{path}: is no metadata of a rosbag2 recording: {shown(error)}") from error
+    if not isinstance(information, dict):
+        raise DataError(f"{path}: rosbag2_bagfile_information is no mapping")
+    return information
 
 
 def _listed_files(folder: Path, information: dict[str, Any]) -> list[Path]:

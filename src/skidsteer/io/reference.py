@@ -34,11 +34,22 @@ class Frames:
         """Collect the transforms of all topics of them."""
         edges = _edges(tables)
         chain = tf.find_chain(sorted(edges), options.map_frame, options.base_frame)
-        return Frames(edges, static_edges(tables), chain, options)
+        fixed = _edges({topic: group for topic, group in tables.items() if topic.name.endswith("_static")})
+        return Frames(edges, fixed, chain, options)
 
     def base_in(self, frame: str) -> FloatArray | None:
         """Transform (7,) of the base in ``frame`` by static links; None where it is the base or not connected."""
-        return _base_in(self.fixed, frame, self.options.base_frame)
+        bases = self._bases()
+        if frame in bases:
+            return None
+        found = [tf.fixed_transform(self.fixed, frame, name) for name in bases]
+        return next((each for each in found if each is not None and np.isfinite(each).all()), None)
+
+    def _bases(self) -> list[str]:
+        if self.options.base_frame:
+            return [self.options.base_frame]
+        frames = {name for edge in self.fixed for name in edge}
+        return sorted(name for name in frames if tf.last_name(name) in tf.BASE_FRAMES)
 
 
 def _edges(tables: Mapping[BagTopic, Sequence[Samples]]) -> dict[tf.Edge, Samples]:
@@ -47,20 +58,6 @@ def _edges(tables: Mapping[BagTopic, Sequence[Samples]]) -> dict[tf.Edge, Sample
         for samples in group if topic.type in TF_TYPES else ():
             found.setdefault((samples.label[0], samples.label[1]), []).append(samples)
     return {edge: concatenated(group) for edge, group in found.items()}
-
-
-def static_edges(tables: Mapping[BagTopic, Sequence[Samples]]) -> dict[tf.Edge, Samples]:
-    """The transforms of topics named ``..._static``."""
-    return _edges({topic: group for topic, group in tables.items() if topic.name.endswith("_static")})
-
-
-def _base_in(fixed: Mapping[tf.Edge, Samples], frame: str, base: str | None) -> FloatArray | None:
-    frames = {name for edge in fixed for name in edge}
-    bases = [base] if base else sorted(name for name in frames if tf.last_name(name) in tf.BASE_FRAMES)
-    if frame in bases:
-        return None
-    found = [tf.fixed_transform(fixed, frame, name) for name in bases]
-    return next((transform for transform in found if transform is not None and np.isfinite(transform).all()), None)
 
 
 def read_reference(
@@ -74,11 +71,11 @@ def read_reference(
     """
     if topic.type in TF_TYPES:
         return {"pose": _chain_pose(topic, frames, clock, notes)}
-    samples = _main(topic, tables, notes)
+    samples, name = _main(topic, tables, notes), shown(topic.name)
     if topic.type == NAVSAT:
-        return {"position": positions(clock.timed(samples, topic.name, notes), topic.name, notes)}
+        return {"position": positions(clock.timed(samples, name, notes), name, notes)}
     if topic.type == POINT:
-        timed = clock.timed(samples, topic.name, notes)
+        timed = clock.timed(samples, name, notes)
         return {"position": timed.with_values(timed.values[:, :2])}
     return {"pose": _pose(topic, samples, frames, clock, notes)}
 
@@ -88,13 +85,15 @@ def _main(topic: BagTopic, tables: Sequence[Samples], notes: list[str]) -> Sampl
     most = max(tables, key=lambda samples: len(samples.bag_ns))
     rest = sum(len(samples.bag_ns) for samples in tables) - len(most.bag_ns)
     if rest:
-        notes.append(f"{topic.name}: {rest} messages in other frames than {shown(' -> '.join(most.label))} dropped")
+        notes.append(
+            f"{shown(topic.name)}: {rest} messages in other frames than {shown(' -> '.join(most.label))} dropped"
+        )
     return most
 
 
 def _pose(topic: BagTopic, samples: Samples, frames: Frames, clock: Clock, notes: list[str]) -> Timed:
     samples = replace(samples, values=tf.normalised(samples.values[:, :7]))
-    timed = clock.timed(samples, topic.name, notes)
+    timed = clock.timed(samples, shown(topic.name), notes)
     child = samples.label[1] if topic.type in (ODOMETRY, TRANSFORM) else ""
     mounting = frames.base_in(child) if child else None
     if mounting is None:
@@ -102,7 +101,7 @@ def _pose(topic: BagTopic, samples: Samples, frames: Frames, clock: Clock, notes
     x, y, yaw = tf.planar(tf.invert(mounting))
     if abs(x) + abs(y) + abs(yaw) > 1e-6:
         notes.append(
-            f"{topic.name}: poses of {shown(child)}, brought to the base by the static transform between them"
+            f"{shown(topic.name)}: poses of {shown(child)}, brought to the base by the static transform between them"
             f" ({x:.3f} m ahead, {y:.3f} m left, {np.degrees(yaw):.1f} deg)"
         )
     return timed.with_values(tf.planar(tf.compose(timed.values, mounting)))
@@ -112,24 +111,17 @@ def _chain_pose(topic: BagTopic, frames: Frames, clock: Clock, notes: list[str])
     if frames.chain is None:
         known = ", ".join(f"{above} -> {below}" for above, below in frames.edges)
         raise RequestError(
-            f"{topic.name}: no chain of transforms from a map to the base; it has {shown(known)};"
+            f"{shown(topic.name)}: no chain of transforms from a map to the base; it has {shown(known)};"
             " name the two with --map-frame and --base-frame"
         )
     timed = tf.chain_poses(frames.chain, frames.edges, clock, notes)
     if timed is None:
-        raise DataError(f"{topic.name}: {shown(' -> '.join(frames.chain.frames))} never moves")
-    notes.append(f"{topic.name}: reference is {shown(' -> '.join(frames.chain.frames))}")
+        raise DataError(f"{shown(topic.name)}: {shown(' -> '.join(frames.chain.frames))} never moves")
+    notes.append(f"{shown(topic.name)}: reference is {shown(' -> '.join(frames.chain.frames))}")
     return timed.with_values(tf.planar(timed.values))
 
 
-def read_gyro(
-    topic: BagTopic,
-    tables: Sequence[Samples],
-    fixed: Mapping[tf.Edge, Samples],
-    options: BagOptions,
-    clock: Clock,
-    notes: list[str],
-) -> Timed:
+def read_gyro(topic: BagTopic, tables: Sequence[Samples], frames: Frames, clock: Clock, notes: list[str]) -> Timed:
     """Yaw rate (n, 1) [rad/s]: the gyro's z, or where a static transform says that z does not point up, the rate
     about the base's z axis.
 
@@ -137,13 +129,15 @@ def read_gyro(
         DataError: no finite sample.
     """
     samples = _main(topic, tables, notes)
-    mounting = _base_in(fixed, samples.label[0], options.base_frame)
+    mounting = frames.base_in(samples.label[0])
     up = np.array([0.0, 0.0, 1.0])
     if mounting is not None:
         axis = tf.rotate(mounting[3:], up)  # the base's z axis in the frame of the IMU
         if axis[2] < _UPRIGHT:
             tilt = float(np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0))))
-            notes.append(f"{topic.name}: the static transform turns the IMU's z axis {tilt:.0f} deg from up; undone")
+            notes.append(
+                f"{shown(topic.name)}: the static transform turns the IMU's z axis {tilt:.0f} deg from up; undone"
+            )
             up = axis
     rate = (samples.values * up).sum(axis=1, keepdims=True) if abs(up[2]) < 1.0 else samples.values[:, 2:] * up[2]
-    return clock.timed(replace(samples, values=rate), topic.name, notes)
+    return clock.timed(replace(samples, values=rate), shown(topic.name), notes)

@@ -140,7 +140,7 @@ def parse_messages(buffer: ByteArray, starts: IntArray) -> MessageTable:
 
 def _fill_table(table: MessageTable, buffer: ByteArray, rows: IntArray, starts: IntArray) -> IntArray:
     """Parse the records at ``starts`` into these rows; returns the rows that turn out to be connections."""
-    if starts.min() < 0 or starts.max() + 8 > buffer.size:
+    if starts.min() < 0 or starts.max() > buffer.size - 8:
         raise DamagedError("a message lies outside its chunk")
     lengths = _u32(np.lib.stride_tricks.sliding_window_view(buffer, 4)[starts])[:, 0]
     if lengths.max() > MAX_HEADER or (starts + lengths + 8 > buffer.size).any():

@@ -16,6 +16,7 @@ from skidsteer.se2 import FloatArray
 SECOND = 1_000_000_000
 _APART = 10 * SECOND  # clocks further apart than this are different clocks, not a delay
 _LATEST = 2**62  # stamps beyond are damage; keeps differences inside 64 bits
+_LARGEST = 1e15  # numbers beyond are damage, in any unit
 _A_DAY = 86_400 * SECOND
 _BOOT_TIME = 1_000_000 * SECOND  # stamps below count from the start of a robot or a simulation: kept as they are
 
@@ -54,10 +55,12 @@ class Clock:
             DataError: nothing is left.
         """
         ns = self._stamps(samples, name, notes)
-        finite = np.isfinite(samples.values).all(axis=1) & (np.abs(ns) < _LATEST)
+        finite = (np.abs(samples.values) < _LARGEST).all(axis=1) & (np.abs(ns) < _LATEST)
         order = np.flatnonzero(finite)[np.argsort(ns[finite], kind="stable")]
         first = np.diff(ns[order], prepend=np.int64(-_LATEST)) > 0
-        _count(notes, name, len(ns) - len(order), "are NaN, infinite or without a sensible time", len(ns))
+        _count(
+            notes, name, len(ns) - len(order), "are NaN, infinite, absurdly large or without a sensible time", len(ns)
+        )
         _count(notes, name, int((~first).sum()), "repeat a time stamp", len(ns))
         if not len(order):
             raise DataError(f"{name}: none of its {len(ns)} messages holds finite numbers")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skidsteer.io.messages import Samples
+from skidsteer.io.raw import shown
 from skidsteer.io.stamps import Clock, Timed
 from skidsteer.se2 import FloatArray
 
@@ -17,6 +18,7 @@ Edge = tuple[str, str]  # parent frame, child frame
 MAP_FRAMES = ("map", "world", "earth", "mocap", "vicon", "optitrack", "global")
 BASE_FRAMES = ("base_link", "base_footprint", "base", "chassis_link", "chassis")
 _MAX_LINKS = 64
+_UNIT = 3.0  # orders of magnitude by which the length of a quaternion may differ from one
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +69,10 @@ def rotate(quaternion: ArrayLike, vector: ArrayLike) -> FloatArray:
 
 
 def normalised(transform: FloatArray) -> FloatArray:
-    """Transforms (n, 7) with quaternions of length one; NaN where a quaternion is zero."""
-    length = np.linalg.norm(transform[:, 3:], axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        turn = np.where(length > 0, transform[:, 3:] / length, np.nan)
+    """Transforms (n, 7) with quaternions of length one; NaN where one is zero, or so far from one that it is damage."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        length = np.linalg.norm(transform[:, 3:], axis=1, keepdims=True)
+        turn = np.where(np.abs(np.log10(length)) < _UNIT, transform[:, 3:] / length, np.nan)
     return np.concatenate([transform[:, :3], turn], axis=1)
 
 
@@ -136,7 +138,7 @@ def chain_poses(chain: Chain, edges: Mapping[Edge, Samples], clock: Clock, notes
     That link is what a localisation publishes, each time it has seen where the robot is; between two of them a chain
     only repeats the wheels. The links below are interpolated to its times. None where no link moves.
     """
-    links = [_link(edges[edge], f"/tf {edge[0]} -> {edge[1]}", clock, notes) for edge in chain.edges]
+    links = [_link(edges[edge], f"/tf {shown(' -> '.join(edge))}", clock, notes) for edge in chain.edges]
     moving = [link for link in links if len(link.ns) > 1]
     if not moving:
         return None

@@ -205,7 +205,7 @@ def pair_wheels(
     """
     clock = Clock()  # these messages carry no stamp
     left, right = (
-        _counter_speeds(topic, clock.timed(table, topic.name, notes), vehicle, options, notes)
+        _counter_speeds(topic, clock.timed(table, shown(topic.name), notes), vehicle, options, notes)
         for topic, table in zip(topics, tables, strict=True)
     )
     ns = np.union1d(left.ns, right.ns)
@@ -217,16 +217,16 @@ def pair_wheels(
 def _counter_speeds(topic: BagTopic, timed: Timed, vehicle: Vehicle, options: BagOptions, notes: list[str]) -> Timed:
     unit = options.wheels_unit or ("ticks" if topic.type in COUNTERS else None)
     if unit is None:
-        raise RequestError(f"{topic.name}: holds plain numbers; say what they are: rad, rad/s, m/s or ticks")
+        raise RequestError(f"{shown(topic.name)}: holds plain numbers; say what they are: rad, rad/s, m/s or ticks")
     scale = {"m/s": 1.0, "rad/s": vehicle.wheel_radius, "rad": vehicle.wheel_radius}.get(unit)
     if scale is None:
         if vehicle.ticks_per_revolution is None:
-            raise RequestError(f"{topic.name}: holds encoder counts; the vehicle needs ticks_per_revolution")
+            raise RequestError(f"{shown(topic.name)}: holds encoder counts; the vehicle needs ticks_per_revolution")
         scale = 2.0 * math.pi * vehicle.wheel_radius / vehicle.ticks_per_revolution
     if unit in ("m/s", "rad/s"):
         return timed.with_values(timed.values * scale)
     rolled = roll(timed.ns, timed.values, top_speed(vehicle) / scale)
-    note_jumps(topic.name, rolled, notes)
+    note_jumps(shown(topic.name), rolled, notes)
     if not len(rolled.steps):
-        raise DataError(f"{topic.name}: one count tells no speed")
+        raise DataError(f"{shown(topic.name)}: one count tells no speed")
     return _held_speeds(timed.ns, rolled.steps * scale)
