@@ -281,6 +281,22 @@ def test_topics_are_found_by_type_and_name(tmp_path: Path, messages: list[Messag
     assert dict(contents.chosen) == chosen
 
 
+def test_a_single_pose_is_no_reference_beside_many(tmp_path: Path) -> None:
+    one = Message("/dock_pose", "geometry_msgs/msg/PoseStamped", NS, {"header": (NS, "map"), "pose": pose(1, 2, 3)})
+    drive = example_drive(1.0)
+    path = write_messages(tmp_path / "b", "mcap", [*drive_messages(drive, reference="tf"), one])
+    assert list_bag(path).chosen["reference"] == "/tf"
+
+
+def test_part_of_another_day_does_not_move_the_start(tmp_path: Path) -> None:
+    drive = example_drive(1.0)
+    early = [replace(message, bag_ns=message.bag_ns - 3 * 86_400 * 10**9) for message in commands("/cmd_vel")]
+    messages = [message for message in drive_messages(drive) if message.topic != "/cmd_vel"]
+    got = read_bag(write_messages(tmp_path / "b", "mcap", messages + early), VEHICLE)
+    assert_same_drive(got, drive, ("wheels", "pose", "gyro"))
+    assert_allclose(got.command.t[0], -3 * 86_400)  # type: ignore[union-attr]
+
+
 def test_choice_between_two_is_told_and_can_be_decided(tmp_path: Path) -> None:
     path = write_messages(tmp_path / "b", "mcap", WHEELS + odometry("/odom", 3.0) + odometry("/gt"))
     contents = list_bag(path)

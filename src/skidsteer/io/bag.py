@@ -14,13 +14,13 @@ import numpy as np
 
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
-from skidsteer.io.messages import JOINT_STATE, Samples, gather
+from skidsteer.io.messages import JOINT_STATE, TF_TYPES, Samples, gather
 from skidsteer.io.open_bag import is_bag, open_bag
 from skidsteer.io.options import AUTOMATIC, BagOptions
 from skidsteer.io.raw import BagTopic, Source, shown
 from skidsteer.io.reference import Frames, read_gyro, read_reference
 from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
-from skidsteer.io.topics import ROLES, TF_TYPES, Choice, Looks, candidates, choose, offer
+from skidsteer.io.topics import ROLES, Choice, Looks, candidates, choose, offer
 from skidsteer.io.wheels import joint_wheels, pair_wheels, sides_in, twist_wheels
 from skidsteer.vehicle import Vehicle
 

@@ -20,6 +20,7 @@ POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TF = "tf2_msgs/msg/TFMessage"
+TF_TYPES = (TF, "tf/msg/tfMessage")  # the second before ROS Hydro
 POINT = "geometry_msgs/msg/PointStamped"
 TWIST = "geometry_msgs/msg/Twist"
 TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
@@ -125,8 +126,7 @@ TABLES: dict[str, Callable[[Block, IntArray], list[Samples]]] = {
     POSE: _pose,
     POSE_COVARIANCE: _pose_covariance,
     TRANSFORM: _transform,
-    TF: _transforms,
-    "tf/msg/tfMessage": _transforms,
+    **dict.fromkeys(TF_TYPES, _transforms),
     POINT: _point,
     TWIST: _twist,
     TWIST_STAMPED: _twist_stamped,
@@ -226,7 +226,7 @@ def _parsed(kind: str, text: str, type_name: str) -> Definitions:
 def standard_definitions(ros_version: int) -> Definitions:
     """The message definitions of ROS 1 Noetic or ROS 2 Humble; the types read here are the same in all of ROS 2."""
     transforms: Any = ([], [("transforms", (4, ((2, TRANSFORM), 0)))])  # absent from the ROS 1 store
-    return {TF: transforms, "tf/msg/tfMessage": transforms, **type_store(ros_version).fielddefs}
+    return {**dict.fromkeys(TF_TYPES, transforms), **type_store(ros_version).fielddefs}
 
 
 def type_store(ros_version: int) -> Any:

@@ -9,14 +9,13 @@ import numpy as np
 
 from skidsteer.errors import DataError, RequestError
 from skidsteer.io import tf
-from skidsteer.io.messages import NAVSAT, ODOMETRY, POINT, TF, TRANSFORM, Samples
+from skidsteer.io.messages import NAVSAT, ODOMETRY, POINT, TF_TYPES, TRANSFORM, Samples
 from skidsteer.io.navsat import positions
 from skidsteer.io.options import BagOptions
 from skidsteer.io.raw import BagTopic, shown
 from skidsteer.io.stamps import Clock, Timed, concatenated
 from skidsteer.se2 import FloatArray
 
-TF_TYPES = (TF, "tf/msg/tfMessage")
 _UPRIGHT = 0.9  # cosine of the tilt of an IMU's z axis up to which it is taken to point up
 
 

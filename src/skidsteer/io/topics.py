@@ -17,7 +17,7 @@ from skidsteer.io.messages import (
     POSE,
     POSE_COVARIANCE,
     TABLES,
-    TF,
+    TF_TYPES,
     TRANSFORM,
     TWIST,
     TWIST_STAMPED,
@@ -26,7 +26,6 @@ from skidsteer.io.options import BagOptions
 from skidsteer.io.raw import BagTopic, shown
 from skidsteer.io.wheels import side_of, words
 
-TF_TYPES = (TF, "tf/msg/tfMessage")
 ROLES = ("wheels", "reference", "imu", "command", "wheel_command")
 _TYPES = {
     "wheels": (JOINT_STATE, ODOMETRY, TWIST_STAMPED, *COUNTERS, *FLOATS),
@@ -53,6 +52,7 @@ _COMMAND = {"cmd", "command", "commands", "cmds"}
 _NEAR_BASE = {"out", "controller", "platform", "base", "mux"}
 _FAR_FROM_BASE = {"joy", "teleop", "nav", "key", "keyboard", "web", "smooth", "raw", "marker", "external"}
 _MEASURED = {"odom", "wheel", "wheels", "measured", "feedback", "actual", "status", "encoder"}
+_FEW, _FEW_COST = 10, 10
 _CAMERA = {"camera", "realsense", "zed", "ouster", "os", "velodyne", "livox", "d435i", "t265", "hand"}
 
 
@@ -87,7 +87,8 @@ def candidates(role: str, topics: Sequence[BagTopic], looks: Looks) -> list[Cand
         "wheel_command": _score_wheel_command,
     }[role]
     found = [
-        Candidate((topic,), value)
+        # A handful of poses is a goal or a start, hardly a reference.
+        Candidate((topic,), value - _FEW_COST * (topic.count < _FEW))
         for topic in topics
         if _readable(topic) and topic.type in _TYPES[role] and (value := score(topic, looks)) is not None
     ]
