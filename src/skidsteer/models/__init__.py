@@ -1,5 +1,6 @@
 """Motion models. A new one is one file and one line here, from the simplest to the richest."""
 
+from skidsteer.models.curvature import Curvature
 from skidsteer.models.differential import Differential, Multiplier
 from skidsteer.models.icr import Icr, SymmetricIcr
 from skidsteer.models.linear import Linear
@@ -10,6 +11,7 @@ MODELS: dict[str, type[Model]] = {
     "differential": Differential,
     "multiplier": Multiplier,
     "icr_symmetric": SymmetricIcr,
+    "curvature": Curvature,
     "icr": Icr,
     "linear": Linear,
     "scheduled_icr": ScheduledIcr,
@@ -17,6 +19,7 @@ MODELS: dict[str, type[Model]] = {
 
 __all__ = [
     "MODELS",
+    "Curvature",
     "Differential",
     "Icr",
     "Linear",
