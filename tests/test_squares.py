@@ -83,7 +83,7 @@ def test_a_long_window_among_short_ones() -> None:
 def test_motion_alone_and_without_lag() -> None:
     cut = make_cut([7, 9] * LANES, 0.02)
     motion, J = side_by_side(TRUTH.matrix(), cut)
-    alone, scratch = np.empty_like(motion), np.empty((1, 3, 7))
+    alone, scratch = np.empty_like(motion), np.empty((0, 3, 7))
     kernels.rollout_matrix(TRUTH.matrix(), cut.distance, cut.by_lag[:0], cut.offsets, alone, scratch)
     assert_array_equal(alone, motion)
     without = np.empty_like(J)
@@ -257,3 +257,29 @@ def test_no_windows_and_not_enough_steps() -> None:
     hasty = fit_squares(cut, windows, Icr.nominal(P3AT), BOUNDS, iterations=1)
     assert not hasty.converged
     assert hasty.iterations == 1
+
+
+def test_many_windows_begin_with_a_share_of_them() -> None:
+    cut = make_cut([4, 5, 6] * 2000, 0.05)
+    windows = noisy(cut)
+    start = Icr.nominal(P3AT)
+    squares = Squares.of(cut, windows, start)
+    few = squares.thinned(16)
+    assert few is not None
+    assert few.tiles is not None
+    assert squares.tiles is not None
+    assert len(few.tiles.total) == -(-len(squares.tiles.total) // 16)
+    part = np.concatenate([np.arange(i, min(i + LANES, 6000)) for i in range(0, 6000, 16 * LANES)])
+    taken = [cut.distance[a:b] for a, b in zip(cut.offsets[part], cut.offsets[part + 1], strict=True)]
+    counts = [len(t) for t in taken]
+    alone = make_cut(counts, 0.0)
+    alone.distance[:] = np.concatenate(taken)
+    keep = np.zeros(6000, bool)
+    keep[part] = True
+    expected = dense(TRUTH.matrix(), alone, windows.where(keep))
+    assert_allclose(few.at(TRUTH.matrix()).cost, expected.cost, rtol=1e-11)
+    found = fit_squares(cut, windows, start, BOUNDS)
+    other = by_moments.fit_squares(by_moments.moments(cut, windows, start, BOUNDS), found.model, BOUNDS)
+    assert found.converged
+    assert found.cost == pytest.approx(other.cost, rel=1e-9)
+    assert squares.thinned(400) is None

@@ -252,24 +252,23 @@ def predict(model: Model, wheels: Series, windows: Windows, timing: Timing) -> F
     cut = steps(wheels, windows, timing, slopes=False)
     if isinstance(model, MatrixModel):
         motion = np.empty((len(windows), 3))
-        kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets, motion, np.empty((1, 3, 7)))
+        kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets, motion, np.empty((0, 3, 7)))
         return motion
     return kernels.rollout(_increments(model, cut.distance, cut.duration), cut.offsets)
 
 
 def linearize(model: Model, cut: Steps) -> tuple[FloatArray, FloatArray]:
     """Motion (k, 3) of cut windows, and its derivative (k, 3, p + 2) by parameters, time offset and lag."""
+    start = model.twist(cut.start_speeds[:, 0], cut.start_speeds[:, 1])
+    end = model.twist(cut.end_speeds[:, 0], cut.end_speeds[:, 1])
     if isinstance(model, MatrixModel):
-        motion, by_entry = np.empty((len(cut.offsets) - 1, 3)), np.empty((len(cut.offsets) - 1, 3, 7))
-        kernels.rollout_matrix(model.matrix(), cut.distance, cut.by_lag, cut.offsets, motion, by_entry)
-        by_parameter = by_entry[..., :6] @ model.matrix_jacobian().reshape(6, -1)
-        by_lag = by_entry[..., 6]
-    else:
-        motion, jacobian = _rollout_in_chunks(model, cut)
-        by_parameter, by_lag = jacobian[..., :-1], jacobian[..., -1]
-    first = model.twist(cut.start_speeds[:, 0], cut.start_speeds[:, 1])
-    last = model.twist(cut.end_speeds[:, 0], cut.end_speeds[:, 1])
-    return motion, kernels.slide(motion, first, last, by_parameter, by_lag)
+        A, C = model.matrix(), model.matrix_jacobian().reshape(6, -1)
+        motion, out = np.empty((len(start), 3)), np.empty((len(start), 3, C.shape[1] + 2))
+        kernels.linearize_matrix(A, C, cut.distance, cut.by_lag, cut.offsets, start, end, motion, out)
+        return motion, out
+    motion, jacobian = _rollout_in_chunks(model, cut)
+    by_offset = kernels.slide(motion, start, end)[..., None]
+    return motion, np.concatenate([jacobian[..., :-1], by_offset, jacobian[..., -1:]], axis=-1)
 
 
 def _increments(model: Model, distance: FloatArray, duration: FloatArray) -> FloatArray:

@@ -22,6 +22,7 @@ from skidsteer.windows import Steps, Windows
 
 FILLED = 2.0  # steps are laid side by side where that takes at most so many times their memory
 SETTLED = 1e-12  # converged: the next step would lower the cost by no more than this share of it
+FEW = 16  # one tile in this many tells most of what all of them tell
 SINGULAR = 1e12  # condition above which the windows do not determine the parameters
 
 
@@ -84,6 +85,18 @@ class Squares:
         cost = np.array([(error[:, :2] ** 2).sum(), (error[:, 2] ** 2).sum()])
         return Value(cost, J.T @ error.ravel(), J.T @ J)
 
+    def thinned(self, share: int) -> Squares | None:
+        """One tile in ``share``, those in between left out; None where too few would be left to fit a model to."""
+        tiles = self.tiles
+        if tiles is None or len(tiles.total) < 10 * share:
+            return None
+        kept = np.arange(0, len(tiles.total), share)
+        low, count = tiles.starts[kept], tiles.starts[kept + 1] - tiles.starts[kept]
+        starts = np.concatenate([[0], np.cumsum(count)])
+        rows = tiles.rows[np.repeat(low - starts[:-1], count) + np.arange(starts[-1])]
+        some = Tiles(rows, starts, tiles.total[kept], tiles.measured[kept], tiles.reach)
+        return Squares(self.cut, self.measured, some)
+
     def covariance(self, value: Value, by_parameter: FloatArray) -> FloatArray:
         """Covariance (p, p) of the parameters at the minimum; infinite where the windows do not determine them.
 
@@ -123,23 +136,31 @@ def fit_squares(cut: Steps, windows: Windows, start: MatrixModel, bounds: ArrayL
     if not len(windows):
         raise DataError("no windows to fit a model to")
     squares, limits = Squares.of(cut, windows, start), checked_bounds(start, bounds)
-    model, damping = start.with_theta(np.clip(start.theta, *limits.T)), 1e-9
-    value, done, converged = squares.at(model.matrix()), 0, False
-    while done < iterations and not converged:
-        done += 1
+    model = start.with_theta(np.clip(start.theta, *limits.T))
+    few = squares.thinned(FEW)
+    if few is not None:  # most of the way on a share of the windows, the rest on all
+        model = _descend(few, model, limits, iterations)[0]
+    model, value, done, converged = _descend(squares, model, limits, iterations)
+    covariance = squares.covariance(value, _by_parameter(model))
+    return PlainFit(model, float(value.cost.sum()), covariance, done, converged)
+
+
+def _descend(
+    squares: Squares, model: MatrixModel, limits: FloatArray, iterations: int
+) -> tuple[MatrixModel, Value, int, bool]:
+    """Where the steps lead, the value there, how many there were, whether they converged."""
+    value, damping = squares.at(model.matrix()), 1e-9
+    for done in range(1, iterations + 1):
         step, gain = _step(model, value, limits, damping)
-        converged = gain <= SETTLED * value.cost.sum()
-        if converged:
-            break
+        if gain <= SETTLED * value.cost.sum() or (np.abs(step) <= 1e-14 * (limits[:, 1] - limits[:, 0])).all():
+            return model, value, done, True
         trial = model.with_theta(model.theta + step)
         found = squares.at(trial.matrix())
         if found.cost.sum() < value.cost.sum():
             model, value, damping = trial, found, max(0.1 * damping, 1e-12)
         else:
             damping = max(30.0 * damping, 1e-4)
-            converged = bool((np.abs(step) <= 1e-14 * (limits[:, 1] - limits[:, 0])).all())
-    covariance = squares.covariance(value, _by_parameter(model))
-    return PlainFit(model, float(value.cost.sum()), covariance, done, converged)
+    return model, value, iterations, False
 
 
 def _step(model: MatrixModel, value: Value, limits: FloatArray, damping: float) -> tuple[FloatArray, float]:

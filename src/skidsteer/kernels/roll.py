@@ -194,3 +194,13 @@ def roll_lagged(
         anew = at + 1 < n and t[at + 1] <= end[w] and restart[at + 1]
         end_speeds[w, 0] = v[at + 1, 0] if anew else v[at, 0] + cl * decay
         end_speeds[w, 1] = v[at + 1, 1] if anew else v[at, 1] + cr * decay
+
+
+@njit(cache=True)
+def paths(distance: FloatArray, offsets: np.ndarray) -> FloatArray:
+    """Length of path (k,) [m] of each window, the mean of what both sides roll (s, 2) [m], forwards or backwards."""
+    out = np.zeros(len(offsets) - 1)
+    for w in range(len(out)):
+        for i in range(offsets[w], offsets[w + 1]):
+            out[w] += 0.5 * (abs(distance[i, 0]) + abs(distance[i, 1]))
+    return out

@@ -140,6 +140,48 @@ def _store(A: FloatArray, state: FloatArray, m: int, motion: FloatArray, J: Floa
 
 
 @njit(cache=True)
+def _roll_tile(
+    A: FloatArray,
+    distance: FloatArray,
+    by_lag: FloatArray,
+    offsets: np.ndarray,
+    first: int,
+    state: FloatArray,
+    tile: FloatArray,
+    motion: FloatArray,
+    J: FloatArray,
+) -> None:
+    """Motion (m, 3) and derivative (m, 3, 7) of the m windows of a tile: side by side, or one by one where they must.
+
+    ``state`` and ``tile`` (longest window, 4 * LANES) are room to work in.
+    """
+    wide, steps = 2 * lanes.LANES, lanes.longest(offsets, first)
+    rows, total = tile[:steps], state[lanes.TOTAL : lanes.TOTAL + wide]
+    lanes.clear(state)
+    left, right = lanes.fill(distance, offsets, first, 0, rows, total) if steps > 0 else (np.inf, np.inf)
+    if not 0.5 * (abs(A[2, 0]) * left + abs(A[2, 1]) * right) < lanes.LIMIT:
+        for m in range(len(motion)):
+            _one_window(A, distance, by_lag, offsets[first + m], offsets[first + m + 1], motion[m], J[m])
+        return
+    lagged = len(by_lag) > 0
+    if lagged:
+        lanes.fill(by_lag, offsets, first, wide, rows, state[lanes.LAG_TOTAL : lanes.LAG_TOTAL + wide])
+    for i in range(steps):
+        lanes.advance(A, rows[i], state, lagged)
+    for m in range(len(motion)):
+        _store(A, state, m, motion[m], J[m])
+
+
+@njit(cache=True)
+def _room(offsets: np.ndarray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """State, tile and derivatives for ``_roll_tile``."""
+    steps = 0
+    for first in range(0, len(offsets) - 1, lanes.LANES):
+        steps = max(steps, lanes.longest(offsets, first))
+    return lanes.empty_state(), np.empty((steps, 4 * lanes.LANES)), np.empty((lanes.LANES, 3, 7))
+
+
+@njit(cache=True)
 def rollout_matrix(
     A: FloatArray, distance: FloatArray, by_lag: FloatArray, offsets: np.ndarray, motion: FloatArray, J: FloatArray
 ) -> None:
@@ -151,56 +193,72 @@ def rollout_matrix(
         by_lag: (s, 2) [m/s] its derivative by the lag; or (0, 2): taken as zero.
         offsets: (k + 1,) steps offsets[i]:offsets[i + 1] belong to window i.
         motion: out, (k, 3).
-        J: out, (k, 3, 7) derivative by the six entries of A, row by row, and by the lag; or (1, 3, 7): not wanted, what
-            is written there means nothing.
+        J: out, (k, 3, 7) derivative by the six entries of A, row by row, and by the lag; or (0, 3, 7): not wanted.
     """
-    k, wide, lagged = len(offsets) - 1, 2 * lanes.LANES, len(by_lag) > 0
-    state, tile = lanes.empty_state(), np.empty((0, 2 * wide))
+    k = len(offsets) - 1
+    state, tile, scratch = _room(offsets)
     for first in range(0, k, lanes.LANES):
-        behind, steps = min(first + lanes.LANES, k), lanes.longest(offsets, first)
-        if steps > len(tile):
-            tile = np.empty((2 * steps, 2 * wide))
-        rows = tile[:steps]
-        lanes.clear(state)
-        total = state[lanes.TOTAL : lanes.TOTAL + wide]
-        left, right = lanes.fill(distance, offsets, first, 0, rows, total) if steps > 0 else (np.inf, np.inf)
-        if not 0.5 * (abs(A[2, 0]) * left + abs(A[2, 1]) * right) < lanes.LIMIT:
-            for w in range(first, behind):
-                _one_window(A, distance, by_lag, offsets[w], offsets[w + 1], motion[w], J[min(w, len(J) - 1)])
-            continue
-        if lagged:
-            lanes.fill(by_lag, offsets, first, wide, rows, state[lanes.LAG_TOTAL : lanes.LAG_TOTAL + wide])
-        for i in range(steps):
-            lanes.advance(A, rows[i], state, lagged)
-        for w in range(first, behind):
-            _store(A, state, w - first, motion[w], J[min(w, len(J) - 1)])
+        behind = min(first + lanes.LANES, k)
+        out = J[first:behind] if len(J) else scratch
+        _roll_tile(A, distance, by_lag, offsets, first, state, tile, motion[first:behind], out)
 
 
 @njit(cache=True)
-def slide(
-    motion: FloatArray, first: FloatArray, last: FloatArray, by_parameter: FloatArray, by_lag: FloatArray
-) -> FloatArray:
-    """Derivative (k, 3, p + 2) of motions (k, 3) by parameters, time offset and lag, from those by the others.
-
-    A window that slides gains at its start and loses at its end. From T(a, b): dT/db is the body twist at b turned by
-    the yaw of T, dT/da is minus that at a, moved to the end.
+def linearize_matrix(
+    A: FloatArray,
+    C: FloatArray,
+    distance: FloatArray,
+    by_lag: FloatArray,
+    offsets: np.ndarray,
+    start: FloatArray,
+    end: FloatArray,
+    motion: FloatArray,
+    out: FloatArray,
+) -> None:
+    """As ``rollout_matrix``, with the derivative by the parameters of the model, the time offset and the lag.
 
     Args:
-        motion: (k, 3).
-        first: (k, 3) body twist at the start.
-        last: (k, 3) body twist at the end.
-        by_parameter: (k, 3, p).
-        by_lag: (k, 3).
+        A: (3, 2) of the model.
+        C: (6, p) derivative of its entries, row by row, by the parameters.
+        distance: as for ``rollout_matrix``.
+        by_lag: as for ``rollout_matrix``.
+        offsets: as for ``rollout_matrix``.
+        start: (k, 3) body twist at the start.
+        end: (k, 3) body twist at the end.
+        motion: out, (k, 3).
+        out: out, (k, 3, p + 2).
     """
-    k, p = len(motion), by_parameter.shape[2]
-    out = np.empty((k, 3, p + 2))
-    for w in range(k):
-        for i in range(3):
-            for m in range(p):
-                out[w, i, m] = by_parameter[w, i, m]
-            out[w, i, p + 1] = by_lag[w, i]
-        c, s, omega = math.cos(motion[w, 2]), math.sin(motion[w, 2]), first[w, 2]
-        out[w, 0, p] = first[w, 0] - omega * motion[w, 1] - (c * last[w, 0] - s * last[w, 1])
-        out[w, 1, p] = first[w, 1] + omega * motion[w, 0] - (s * last[w, 0] + c * last[w, 1])
-        out[w, 2, p] = omega - last[w, 2]
+    k, p = len(offsets) - 1, C.shape[1]
+    state, tile, scratch = _room(offsets)
+    for first in range(0, k, lanes.LANES):
+        behind = min(first + lanes.LANES, k)
+        _roll_tile(A, distance, by_lag, offsets, first, state, tile, motion[first:behind], scratch)
+        for w in range(first, behind):
+            for i in range(3):
+                J = scratch[w - first, i]
+                for m in range(p):
+                    by_yaw = J[4] * C[4, m] + J[5] * C[5, m]
+                    out[w, i, m] = J[0] * C[0, m] + J[1] * C[1, m] + J[2] * C[2, m] + J[3] * C[3, m] + by_yaw
+                out[w, i, p + 1] = J[6]
+            _slide(motion[w], start[w], end[w], out[w, :, p])
+
+
+@njit(cache=True)
+def _slide(motion: FloatArray, start: FloatArray, end: FloatArray, out: FloatArray) -> None:
+    """Derivative (3,) of a motion (3,) by the time offset: a window that slides gains at its start, loses at its end.
+
+    From T(a, b): dT/db is the body twist at b turned by the yaw of T, dT/da is minus that at a, moved to the end.
+    """
+    c, s = math.cos(motion[2]), math.sin(motion[2])
+    out[0] = start[0] - start[2] * motion[1] - (c * end[0] - s * end[1])
+    out[1] = start[1] + start[2] * motion[0] - (s * end[0] + c * end[1])
+    out[2] = start[2] - end[2]
+
+
+@njit(cache=True)
+def slide(motion: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Derivative (k, 3) of motions (k, 3) by the time offset, from the body twists (k, 3) at both ends."""
+    out = np.empty_like(motion)
+    for w in range(len(motion)):
+        _slide(motion[w], start[w], end[w], out[w])
     return out
