@@ -10,6 +10,7 @@ import numpy as np
 from skidsteer.metrics import Spread, WindowErrors
 from skidsteer.models import MatrixModel, Model
 from skidsteer.noise import Noise
+from skidsteer.prediction import Regions, Uncertainty
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Mount, Timing
@@ -36,12 +37,17 @@ class HeldOut:
     translation_m: Spread
     yaw_deg: Spread
     yaw_gyro_deg: Spread | None = None
+    coverage_68: float | None = None  # share of end poses inside the region that claims 68 %
+    coverage_95: float | None = None
 
     @classmethod
-    def of(cls, errors: WindowErrors) -> HeldOut:
-        """Figures of window errors; the gyro's only where there is one."""
+    def of(cls, errors: WindowErrors, regions: Regions | None = None) -> HeldOut:
+        """Figures of window errors; the gyro's only where there is one, the coverage only with regions."""
         gyro = Spread.of(np.degrees(errors.yaw_gyro)) if np.isfinite(errors.yaw_gyro).any() else None
-        return cls(len(errors), Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro)
+        shares: tuple[float | None, float | None] = (None, None)
+        if regions is not None and np.isfinite(errors.squared).any():
+            shares = (regions.coverage(errors.squared, 0.68), regions.coverage(errors.squared, 0.95))
+        return cls(len(errors), Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro, *shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +91,7 @@ class Calibration:
     selected_because: str = ""
     warnings: tuple[str, ...] = ()
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
+    regions: Regions | None = None  # of end poses after ``window`` seconds; None: too few held-out windows
 
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=float)
@@ -121,6 +128,14 @@ class Calibration:
         """Where the reference's sensor sat; the origin where that was not estimated."""
         known = {name: e.value for name, e in self.estimates.items() if name.startswith("mount_")}
         return Mount(*(known.get(f"mount_{axis}", 0.0) for axis in ("x", "y", "yaw")))
+
+    @property
+    def uncertainty(self) -> Uncertainty:
+        """What a prediction with ``timing`` may be wrong by; time offset and model are taken from the first drive."""
+        offset = next((n for n in self.names if n.startswith("time_offset")), None)
+        wanted = [*self.parameters, offset, "lag"]
+        index = [self.names.index(n) for n in wanted if n in self.names]
+        return Uncertainty(self.noise, self.covariance[np.ix_(index, index)])
 
     @property
     def timing(self) -> Timing:

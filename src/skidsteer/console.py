@@ -111,6 +111,11 @@ def show_evaluation(evaluation: Evaluation) -> None:
     if len(rows) > 1:
         rows["all"] = evaluation.total
     OUT.print(_errors(rows, "error", count="drive"))
+    if evaluation.total.coverage_68 is not None and evaluation.total.coverage_95 is not None:
+        OUT.print(
+            f"Predicted regions that claim 68 % and 95 % hold {100 * evaluation.total.coverage_68:.0f} % and"
+            f" {100 * evaluation.total.coverage_95:.0f} % of the end poses."
+        )
     offsets = ", ".join(f"{escape(name)} {offset:+.3f} s" for name, offset in evaluation.time_offsets.items())
     OUT.print(f"Time offset used: {offsets}.")
 
@@ -126,6 +131,6 @@ def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> No
     OUT.print(_errors(held_out, "held-out error", chosen=selection.name))
     table = Table("against the best", "translation", "yaw", "", box=None, pad_edge=False)
     for name, c in selection.against_best.items():
-        table.add_row(name, _excess(c.translation), _excess(c.yaw), "significantly worse" if c.worse else "")
+        table.add_row(name, _excess(c.translation), _excess(c.yaw), "worse" if c.worse else "")
     OUT.print(table)
     OUT.print(f"Chosen: {escape(selection.because)}.")

@@ -23,6 +23,7 @@ def calibration_document(calibration: Calibration) -> Document:
         "nuisance": {name: _estimate(e) for name, e in calibration.nuisance.items()},
         "derived": {"effective_track_width": _estimate(width)} if width else {},
         "noise": asdict(calibration.noise),
+        "regions": None if calibration.regions is None else asdict(calibration.regions),
         "method": calibration.method,
         "selected_because": calibration.selected_because,
         "warnings": list(calibration.warnings),

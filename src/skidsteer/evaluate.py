@@ -43,15 +43,15 @@ def evaluate(
         timing = calibration.timing
         if fit_delay and drive.reference is not None:
             timing = replace(timing, time_offset=fit_offset(calibration, drive))
-        errors = window_errors(calibration.model, drive, timing, length, calibration.mount)
+        errors = window_errors(calibration.model, drive, timing, length, calibration.mount, calibration.uncertainty)
         if not len(errors):
             raise DataError(
                 f"{drive.name}: no window of {length:g} s in which wheels and reference are there and the robot moves"
             )
         name = drive.name if drive.name not in figures else f"{drive.name}#{len(figures) + 1}"
-        figures[name], offsets[name] = HeldOut.of(errors), timing.time_offset
+        figures[name], offsets[name] = HeldOut.of(errors, calibration.regions), timing.time_offset
         parts.append(errors)
-    return Evaluation(HeldOut.of(WindowErrors.join(parts)), figures, offsets)
+    return Evaluation(HeldOut.of(WindowErrors.join(parts), calibration.regions), figures, offsets)
 
 
 def fit_offset(calibration: Calibration, drive: Drive) -> float:

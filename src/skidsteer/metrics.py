@@ -9,6 +9,7 @@ import numpy as np
 from skidsteer.drive import Drive
 from skidsteer.gyro import GyroErrors, Turn, rough_errors
 from skidsteer.models import Model
+from skidsteer.prediction import Uncertainty, squared_distances
 from skidsteer.se2 import FloatArray, chain, compose, wrap
 from skidsteer.windows import Mount, Timing, Windows, judging_windows, predict, stretches
 
@@ -39,6 +40,7 @@ class WindowErrors:
     translation: FloatArray  # (k,) [m] end position; without heading the RMS distance after rigid alignment
     yaw: FloatArray  # (k,) [rad] end yaw, wrapped; needs a heading
     yaw_gyro: FloatArray  # (k,) [rad] turned angle against the integrated gyro; needs a gyro
+    squared: FloatArray  # (k,) squared distance of the end pose by its predicted covariance; needs a pose and that
 
     def __len__(self) -> int:
         return len(self.start)
@@ -55,7 +57,12 @@ class WindowErrors:
 
 
 def window_errors(
-    model: Model, drive: Drive, timing: Timing, length: float = 2.0, mount: Mount | None = None
+    model: Model,
+    drive: Drive,
+    timing: Timing,
+    length: float = 2.0,
+    mount: Mount | None = None,
+    uncertainty: Uncertainty | None = None,
 ) -> WindowErrors:
     """Errors of a model on the judging windows of a drive.
 
@@ -68,10 +75,11 @@ def window_errors(
         timing: of the reference against the wheels.
         length: of the windows [s].
         mount: of the reference's sensor; None: at the origin.
+        uncertainty: of the prediction, where errors are to be compared with it.
     """
     windows = judging_windows(drive, length)
     seen = (mount or Mount()).seen(predict(model, drive.wheels, windows, timing))
-    translation = yaw = gyro = np.full(len(windows), np.nan)
+    translation = yaw = gyro = squared = np.full(len(windows), np.nan)
     if windows.sees == "pose":
         error = windows.motion - seen
         translation, yaw = np.hypot(error[:, 0], error[:, 1]), wrap(error[:, 2])
@@ -79,7 +87,9 @@ def window_errors(
         translation = _position_errors(model, drive, timing, windows, mount or Mount())
     if drive.gyro is not None and len(windows):
         gyro = _gyro_errors(model, drive, timing, windows)
-    return WindowErrors(windows.start, windows.end, translation, yaw, gyro)
+    if uncertainty is not None:
+        squared = squared_distances(model, drive.wheels, windows, timing, uncertainty)
+    return WindowErrors(windows.start, windows.end, translation, yaw, gyro, squared)
 
 
 def _gyro_errors(model: Model, drive: Drive, timing: Timing, windows: Windows) -> FloatArray:

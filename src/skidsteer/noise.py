@@ -63,14 +63,17 @@ class Residuals:
     gyro: FloatArray  # (k,) [rad] turn of the gyro less the predicted one; 0 where the gyro does not speak
     gyro_time: FloatArray  # (k,) [s] that the gyro integrated; infinite where it does not speak
 
+    def pose_covariances(self, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Covariance (k, 3, 3) of the reference's pose at the start and at the end, each in its body frame."""
+        sees = self.windows.sees
+        return _pose_covariance(noise, self.start_twist, sees), _pose_covariance(noise, self.end_twist, sees)
+
     def covariances(self, noise: Noise, weights: Weights) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Variance of the motion (k, 3), covariance of start and end pose (k, 3, 3), for ``kernels.chain``."""
         growth = np.array([noise.walk**2, noise.walk**2, noise.turn**2])
         process = self.rolled[:, None] * growth / weights.motion[:, None]
-        sees = self.windows.sees
-        start = _pose_covariance(noise, self.start_twist, sees) / weights.start[:, None, None]
-        end = _pose_covariance(noise, self.end_twist, sees) / weights.end[:, None, None]
-        return process, start, end
+        start, end = self.pose_covariances(noise)
+        return process, start / weights.start[:, None, None], end / weights.end[:, None, None]
 
 
 def residuals(

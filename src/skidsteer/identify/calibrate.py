@@ -20,6 +20,7 @@ from skidsteer.identify.select import Selection, select
 from skidsteer.identify.spacing import choose_spacing
 from skidsteer.identify.unknowns import UNITS
 from skidsteer.models import MODELS
+from skidsteer.prediction import fit_regions
 from skidsteer.windows import Mount, increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
@@ -100,6 +101,7 @@ def calibrate(
         selected_because=because,
         warnings=(*_warnings(found, judged, chosen, drives), *notes),
         held_out={name: HeldOut.of(errors.errors) for name, errors in judged.items()},
+        regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
     )
 
 

@@ -71,7 +71,7 @@ def held_out(
             return None
         found = fit_supported(start, drives, train, options)
         for i, (drive, e) in enumerate(zip(drives, edges, strict=True)):
-            judged = window_errors(found.model, drive, found.timings[i], length, found.mount)
+            judged = window_errors(found.model, drive, found.timings[i], length, found.mount, found.uncertainty(i))
             first, last = _block(judged.start, e), _block(np.nextafter(judged.end, -np.inf), e)
             test = (first % 2 == fold) & (first == last)
             errors.append(judged.where(test))

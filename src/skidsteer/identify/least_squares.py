@@ -21,6 +21,7 @@ from skidsteer.identify.unknowns import Unknowns
 from skidsteer.kernels import chain
 from skidsteer.models import Model
 from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals, reweigh, smoothed
+from skidsteer.prediction import Uncertainty
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount, Timing, Windows, covered, linearize, predict, seen_by, steps
 
@@ -76,6 +77,12 @@ class Fit:
         always = np.array([n == "lag" or n.split(":")[0] == "time_offset" for n in self.names])
         always[: len(self.model.PARAMETERS)] = True
         return np.asarray(always | self.free)
+
+    def uncertainty(self, drive: int) -> Uncertainty:
+        """What a prediction of one of the drives may be wrong by."""
+        p = len(self.model.PARAMETERS)
+        index = [*range(p), p + 4 + 4 * drive, p]
+        return Uncertainty(self.noise, self.covariance[np.ix_(index, index)])
 
     def named(self, name: str) -> tuple[float, float]:
         """Value and sigma of one unknown."""

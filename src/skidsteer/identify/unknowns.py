@@ -82,7 +82,8 @@ class Unknowns:
     def bounds(self, drives: list[Drive]) -> FloatArray:
         """Lower and upper limit (m, 2) of each entry."""
         nuisance = [LIMITS[name] for name in (*SHARED, *OF_DRIVE * self.drives)]
-        return np.concatenate([type(self.family).bounds(drives[0].vehicle), np.array(nuisance)])
+        limits: FloatArray = np.concatenate([type(self.family).bounds(drives[0].vehicle), np.array(nuisance)])
+        return limits
 
     def prior_sigma(self, drives: list[Drive]) -> FloatArray:
         """What is known of each entry before the drive, (m,): for parameters the spread of their bounds."""

@@ -18,6 +18,7 @@ from skidsteer.io.vehicle_file import VehicleFile
 from skidsteer.metrics import Spread
 from skidsteer.models import MODELS
 from skidsteer.noise import Noise
+from skidsteer.prediction import Regions
 from skidsteer.vehicle import Vehicle
 
 SCHEMA = 1
@@ -66,6 +67,13 @@ class _HeldOut(_Strict):
     translation_m: _Spread
     yaw_deg: _Spread
     yaw_gyro_deg: _Spread | None = None
+    coverage_68: float | None = None
+    coverage_95: float | None = None
+
+
+class _Regions(_Strict):
+    scale: float
+    dof: float
 
 
 class _DriveRecord(_Strict):
@@ -97,6 +105,7 @@ class _File(_Strict):
     selected_because: str
     warnings: list[str]
     held_out: dict[str, _HeldOut]
+    regions: _Regions | None = None
     provenance: _Provenance
 
 
@@ -128,6 +137,7 @@ def calibration_text(calibration: Calibration) -> str:
         "selected_because": calibration.selected_because,
         "warnings": list(calibration.warnings),
         "held_out": {name: _without_none(asdict(h)) for name, h in calibration.held_out.items()},
+        "regions": None if calibration.regions is None else asdict(calibration.regions),
         "provenance": {
             "software": provenance.software,
             "created": provenance.created,
@@ -202,6 +212,7 @@ def _calibration(file: _File) -> Calibration:
         selected_because=file.selected_because,
         warnings=tuple(file.warnings),
         held_out={name: _held_out(h) for name, h in file.held_out.items()},
+        regions=None if file.regions is None else Regions(**file.regions.model_dump()),
     )
 
 
