@@ -459,6 +459,84 @@ def test_no_windows_no_motions() -> None:
         assert jacobian.shape == (0, 3, len(model.theta) + 2)
 
 
+def speed_behind(wheels: Series, lag: float, query: float) -> FloatArray:
+    """f of lag f' = v - f at one time, sample by sample from the first, where f = v."""
+    f = wheels.values[0]
+    for i, (t, v) in enumerate(zip(wheels.t, wheels.values, strict=True)):
+        until = wheels.t[i + 1] if i + 1 < len(wheels) else np.inf
+        if query < until:
+            return v + (f - v) * np.exp(-max(query - t, 0.0) / lag)
+        f = v + (f - v) * np.exp(-(until - t) / lag)
+    raise AssertionError
+
+
+def rolled_by(wheels: Series, start: float, end: float) -> FloatArray:
+    """Integral of the held speeds themselves."""
+    edges = np.unique(np.r_[start, wheels.t[(wheels.t > start) & (wheels.t < end)], end])
+    return np.diff(edges) @ wheels.hold(edges[:-1])
+
+
+@pytest.mark.parametrize("lag", [0.001, 0.05, 0.5, 5.0])
+@pytest.mark.parametrize("regular", [True, False])
+def test_what_is_rolled_behind_a_lag(lag: float, regular: bool) -> None:
+    """From lag f' = v - f: the integral of f is that of v less lag times what f has gained. In windows of any order."""
+    wheels = wheel_log(rate=50.0, seconds=20.0)
+    if regular:
+        wheels = Series(2.0 + 0.02 * np.arange(len(wheels)), wheels.values)
+    windows = some_windows(wheels, 60)
+    cut = steps(wheels, windows, Timing(0.0, lag))
+    for k, (a, b) in enumerate(spans(windows)):
+        first, last = speed_behind(wheels, lag, a), speed_behind(wheels, lag, b)
+        part = slice(cut.offsets[k], cut.offsets[k + 1])
+        assert_allclose(cut.start_speeds[k], first, atol=1e-13)
+        assert_allclose(cut.end_speeds[k], last, atol=1e-13)
+        assert_allclose(cut.distance[part].sum(axis=0), rolled_by(wheels, a, b) - lag * (last - first), atol=1e-12)
+        assert cut.duration[part].sum() == pytest.approx(b - a, abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 80])
+@pytest.mark.parametrize("lag", [0.0, 0.08])
+@pytest.mark.parametrize("scale", [1.0, 3.5])  # steps that turn by up to 0.2 rad and more
+def test_many_windows_at_once_are_each_alone(count: int, lag: float, scale: float) -> None:
+    """However many windows are rolled side by side, and whichever way: the scalar path and that of any model."""
+    wheels = wheel_log(scale=scale)
+    start = np.random.default_rng(1).uniform(2.5, 11.0, count)
+    windows = Windows(start, start + 1.0, np.zeros((count, 3)), np.zeros(count, bool))
+    timing = Timing(0.1, lag)
+    cut = steps(wheels, windows, timing)
+    together, any_model = linearize(TRUTH, cut), linearize(UNROLLED, cut)
+    for k, (a, b) in enumerate(spans(windows)):
+        alone = linearize(TRUTH, steps(wheels, one_window(a, b), timing))
+        for i in range(2):
+            assert_allclose(together[i][k], alone[i][0], atol=1e-11)
+    for i in range(2):
+        assert_allclose(together[i], any_model[i], atol=1e-11)
+    assert_allclose(predict(TRUTH, wheels, windows, timing), together[0], atol=1e-13)
+
+
+@pytest.mark.parametrize("half", [0.05, 0.15, 0.199, 0.201, 0.29, 0.31, 0.8])
+def test_turns_around_the_limits_of_the_series(half: float) -> None:
+    """Circles in steps of twice this angle, 40 windows of 20 steps: the closed form."""
+    model, t = Icr(0.3, -0.4, 0.1, 0.9, 1.1), np.arange(0.0, 60.0, 0.5)
+    left, right = 0.2, 0.2 * 0.9 / 1.1 + 0.7 * 2 * half / 0.5 / 1.1  # omega = 2 half / 0.5 s
+    wheels = Series(t, np.tile([left, right], (len(t), 1)))
+    windows = Windows(0.5 * np.arange(40.0), 0.5 * np.arange(40.0) + 10.0, np.zeros((40, 3)), np.zeros(40, bool))
+    motion = linearize(model, steps(wheels, windows, Timing()))[0]
+    expected = exp(10.0 * model.twist(left, right))
+    assert expected[2] == pytest.approx(40 * half)
+    assert_allclose(motion, np.tile(expected, (40, 1)), atol=1e-11)
+
+
+def test_windows_of_very_different_lengths() -> None:
+    wheels = wheel_log(seconds=40.0)
+    start = np.full(40, 3.0)
+    end = start + np.r_[np.full(39, 0.05), 30.0]
+    windows = Windows(start, end, np.zeros((40, 3)), np.zeros(40, bool))
+    cut = steps(wheels, windows, Timing())
+    for a, b in zip(linearize(TRUTH, cut), linearize(UNROLLED, cut), strict=True):
+        assert_allclose(a, b, atol=1e-10)
+
+
 # Sensitivities
 
 
