@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+
+if TYPE_CHECKING:
+    from skidsteer.drive import Drive
+    from skidsteer.vehicle import Vehicle
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -17,21 +23,81 @@ app = typer.Typer(
     help="From a drive log of a skid-steer robot to a calibrated motion model with honest uncertainty.",
 )
 
-Drives = Annotated[list[str], typer.Argument(metavar="DRIVE...", help="drive folder, CSV files or sample:NAME")]
+DRIVE_HELP = "drive folder, CSV files, bag or sample:NAME"
+Drives = Annotated[list[str], typer.Argument(metavar="DRIVE...", help=DRIVE_HELP)]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON document and nothing else")]
 Window = Annotated[float, typer.Option("--window", metavar="S", help="length of the judging windows [s]")]
-VehicleName = Annotated[str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="preset or YAML file")]
 Offset = Annotated[float | None, typer.Option(help="fix the time offset of the reference [s]")]
 Lag = Annotated[float | None, typer.Option(help="fix the actuation lag [s]")]
 
+SOURCE_OPTIONS = {
+    "vehicle": ("NAME|FILE", "preset or YAML file with the robot's measures"),
+    "wheels_topic": ("TOPIC", "of a bag: joint states, odometry or a twist of the wheels"),
+    "reference_topic": ("TOPIC", "of a bag: reference pose, position or /tf"),
+    "imu_topic": ("TOPIC", "of a bag: gyro"),
+    "command_topic": ("TOPIC", "of a bag: commanded twist"),
+    "left_joints": ("A,B", "of a bag: joints of the left wheels"),
+    "right_joints": ("A,B", "of a bag: joints of the right wheels"),
+    "base_frame": ("FRAME", "of a bag: the robot's frame"),
+    "map_frame": ("FRAME", "of a bag: the reference's frame"),
+    "separation_multiplier": ("X", "of a bag: that the wheel odometry was made with"),
+}
+
+
+class Source:
+    """How drives are to be read: the options that every command on drives has."""
+
+    def __init__(self, words: dict[str, str | None]) -> None:
+        self.words = words
+
+    def vehicle(self) -> Vehicle | None:
+        """The vehicle asked for; None: what is written beside the drive."""
+        from skidsteer.io.folder import vehicle
+
+        name = self.words["vehicle"]
+        return None if name is None else vehicle(name)
+
+    def load(self, paths: list[str], otherwise: Vehicle | None = None) -> list[Drive]:
+        """Read drives; ``otherwise`` is their vehicle where none was asked for."""
+        from skidsteer.io.drives import load_drives
+        from skidsteer.io.options import parse_options
+
+        topics = {name: word for name, word in self.words.items() if name != "vehicle"}
+        return load_drives(paths, self.vehicle() or otherwise, parse_options(topics))
+
+
+def on_drives(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command that takes a ``source`` the options of ``SOURCE_OPTIONS`` in its place."""
+    hints = get_type_hints(command, include_extras=True)
+    own = [p for p in inspect.signature(command).parameters.values() if p.name != "source"]
+    kept = [p.replace(annotation=hints[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+    added = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[str | None, typer.Option(metavar=metavar, help=text)],
+        )
+        for name, (metavar, text) in SOURCE_OPTIONS.items()
+    ]
+
+    def run(**words: Any) -> None:
+        command(source=Source({name: words.pop(name) for name in SOURCE_OPTIONS}), **words)
+
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__signature__ = inspect.Signature([*kept, *added])  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in [*kept, *added]}
+    return run
+
 
 @app.command()
+@on_drives
 def calibrate(
     drives: Drives,
+    source: Source,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml there")] = None,
     model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
     method: Annotated[str, typer.Option(help="least-squares or genetic (Mandow 2007)")] = "least-squares",
-    vehicle: VehicleName = None,
     window: Window = 2.0,
     time_offset: Offset = None,
     lag: Lag = None,
@@ -44,11 +110,10 @@ def calibrate(
     from skidsteer.identify.calibrate import calibrate as calibrate_drives
     from skidsteer.identify.calibrate import make_options
     from skidsteer.io.calibration_file import save_calibration
-    from skidsteer.io.drives import load_drives
 
     options = make_options(model, method, window, seed, time_offset, lag, mount)
     with console.progress_bar() as report:
-        calibration = calibrate_drives(load_drives(drives, _vehicle(vehicle)), options=options, progress=report)
+        calibration = calibrate_drives(source.load(drives), options=options, progress=report)
     if out is not None:
         save_calibration(calibration, _folder(out) / "calibration.yaml")
     if json:
@@ -58,22 +123,22 @@ def calibrate(
 
 
 @app.command()
+@on_drives
 def evaluate(
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
     drives: Drives,
+    source: Source,
     window: Window = 2.0,
     fit_delay: Annotated[bool, typer.Option("--fit-delay", help="find the time offset of each drive first")] = False,
-    vehicle: VehicleName = None,
     json: Json = False,
 ) -> None:
     """Errors of a calibration on drives; fits nothing, but the delay if asked."""
     from skidsteer import console, documents
     from skidsteer.evaluate import evaluate as evaluate_drives
     from skidsteer.io.calibration_file import load_calibration
-    from skidsteer.io.drives import load_drives
 
     known = load_calibration(calibration)
-    loaded = load_drives(drives, _vehicle(vehicle) or known.vehicle)
+    loaded = source.load(drives, otherwise=known.vehicle)
     result = evaluate_drives(known, loaded, _positive(window, "--window"), fit_delay)
     if json:
         typer.echo(documents.to_json(documents.evaluation_document(result, window)))
@@ -82,15 +147,14 @@ def evaluate(
 
 
 @app.command()
-def compare(drives: Drives, vehicle: VehicleName = None, window: Window = 2.0, json: Json = False) -> None:
+@on_drives
+def compare(drives: Drives, source: Source, window: Window = 2.0, json: Json = False) -> None:
     """Every model, held out, side by side."""
     from skidsteer import console, documents
     from skidsteer.identify.calibrate import compare_models
-    from skidsteer.io.drives import load_drives
 
     with console.progress_bar() as report:
-        loaded = load_drives(drives, _vehicle(vehicle))
-        held_out, selection = compare_models(loaded, _positive(window, "--window"), report)
+        held_out, selection = compare_models(source.load(drives), _positive(window, "--window"), report)
     if json:
         typer.echo(documents.to_json(documents.comparison_document(held_out, selection)))
     else:
@@ -117,12 +181,6 @@ def sample(
     typer.echo(f"written: {target}")
 
 
-def _vehicle(name: str | None):  # type: ignore[no-untyped-def]  # Vehicle must not be imported for --help
-    from skidsteer.io.folder import vehicle
-
-    return None if name is None else vehicle(name)
-
-
 def _positive(value: float, option: str) -> float:
     from skidsteer.errors import RequestError
 
@@ -143,8 +201,11 @@ def _folder(path: Path) -> Path:
 
 def main() -> None:
     """Run the command line; what is the user's to mend ends as one line and exit code 1."""
+    import logging
+
     from skidsteer.errors import SkidSteerError
 
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
     try:
         app()
     except SkidSteerError as error:

@@ -68,7 +68,7 @@ class Unknowns:
     def columns(self, drive: int) -> np.ndarray:
         """Indices (p + 8,) into x of what the motions of one drive depend on."""
         first = self._of(drive)
-        return np.r_[0 : self.p + 4, first : first + 4]
+        return np.concatenate([np.arange(self.p + 4), np.arange(first, first + 4)])
 
     def _of(self, drive: int) -> int:
         return self.p + 4 + 4 * drive

@@ -1,7 +1,8 @@
-"""Any DRIVE of the command line to a `Drive`: a folder, CSV files, ``sample:NAME``."""
+"""Any DRIVE of the command line to a `Drive`: a folder, CSV files, a bag, ``sample:NAME``."""
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,37 +10,66 @@ from pathlib import Path
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
 from skidsteer.io.folder import read_csv_files, read_folder
+from skidsteer.io.options import AUTOMATIC, BagOptions
 from skidsteer.samples import sample
 from skidsteer.vehicle import Vehicle
 
+log = logging.getLogger(__name__)
+
 PREFIX = "sample:"
+NOT_A_DRIVE = "give a drive folder, CSV files, a bag (.bag, .mcap, .db3 or a rosbag2 folder) or sample:NAME"
 
 
-def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None) -> Drive:
-    """Read a drive.
+def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag: BagOptions = AUTOMATIC) -> Drive:
+    """Read a drive. What was chosen in a bag is logged.
 
     Args:
-        path: a drive folder, CSV files joined by commas (``wheels.csv,pose.csv``), or ``sample:NAME``.
-        vehicle: of the drive; None: what is written beside it.
+        path: a drive folder, CSV files joined by commas (``wheels.csv,pose.csv``), a bag, or ``sample:NAME``.
+        vehicle: of the drive; None: what is written beside it. A bag needs it.
+        bag: topics, joints and frames of a bag, where the automatic choice does not fit.
 
     Raises:
         DataError: the files cannot be read as a drive.
-        RequestError: no such sample.
+        RequestError: no such sample, a bag without a vehicle, or without what the options name.
     """
     text = os.fspath(path)
     if text.startswith(PREFIX):
         return sample(text.removeprefix(PREFIX))
-    if Path(text).is_dir():
-        return read_folder(text, vehicle)
     names = text.split(",")
     if all(name.lower().endswith(".csv") for name in names):
         return read_csv_files(names, vehicle)
     if not os.path.exists(text):
-        raise DataError(f"{text}: no such drive; give a drive folder, CSV files or sample:NAME")
-    raise DataError(f"{text}: not a drive folder and not CSV files")
+        raise DataError(f"{text}: no such drive; {NOT_A_DRIVE}")
+    if looks_like_a_bag(text):
+        return _load_bag(text, vehicle, bag)
+    if Path(text).is_dir():
+        return read_folder(text, vehicle)
+    raise DataError(f"{text}: not a drive; {NOT_A_DRIVE}")
 
 
-def load_drives(paths: Sequence[str], vehicle: Vehicle | None = None) -> list[Drive]:
+def looks_like_a_bag(path: str) -> bool:
+    """Whether a path is a bag by its name, or a folder by a rosbag2 recording in it; nothing is read."""
+    if Path(path).is_dir():
+        return os.path.exists(os.path.join(path, "metadata.yaml")) and not os.path.exists(
+            os.path.join(path, "wheels.csv")
+        )
+    return path.lower().endswith((".bag", ".mcap", ".db3"))
+
+
+def _load_bag(path: str, vehicle: Vehicle | None, options: BagOptions) -> Drive:
+    from skidsteer.io.bag import read_bag_noted  # its readers take a while to import
+
+    if vehicle is None:
+        raise RequestError(f"{path}: a bag does not tell the robot's measures; give --vehicle NAME|FILE")
+    drive, contents = read_bag_noted(path, vehicle, options)
+    for role, topic in contents.chosen.items():
+        log.info("%s: %s from %s", drive.name, role, topic)
+    for note in contents.notes:
+        log.info("%s: %s", drive.name, note)
+    return drive
+
+
+def load_drives(paths: Sequence[str], vehicle: Vehicle | None = None, bag: BagOptions = AUTOMATIC) -> list[Drive]:
     """Read all drives named on a command line; CSV files that stand beside each other there are one drive.
 
     Raises:
@@ -56,7 +86,7 @@ def load_drives(paths: Sequence[str], vehicle: Vehicle | None = None) -> list[Dr
         else:
             groups.append(path)
         was_csv = is_csv
-    drives = [load_drive(group, vehicle) for group in groups]
+    drives = [load_drive(group, vehicle, bag) for group in groups]
     widths = {d.vehicle.track_width for d in drives}
     if len(widths) > 1:
         named = ", ".join(f"{d.name}: {d.vehicle.name} {d.vehicle.track_width:g} m" for d in drives)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from skidsteer.errors import RequestError
 
 WHEEL_UNITS = ("rad", "rad/s", "m/s", "ticks")
 
@@ -43,3 +47,22 @@ class BagOptions:
 
 
 AUTOMATIC = BagOptions()
+
+
+def parse_options(words: Mapping[str, str | None]) -> BagOptions:
+    """Options from the words of a command line; lists are joined by commas, None is left out.
+
+    Raises:
+        RequestError: an option that cannot be.
+    """
+    given: dict[str, Any] = {name: word for name, word in words.items() if word is not None}
+    for name in ("left_joints", "right_joints"):
+        if name in given:
+            given[name] = tuple(given[name].split(","))
+    try:
+        for name in ("separation", "separation_multiplier"):
+            if name in given:
+                given[name] = float(given[name])
+        return BagOptions(**given)
+    except ValueError as error:
+        raise RequestError(f"bag options: {error}") from error
