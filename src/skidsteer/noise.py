@@ -142,7 +142,8 @@ def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most
     found = minimize(
         cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4, "ftol": 1e-6}
     )
-    return Noise(*np.exp(found.x if found.fun < cost(x0) else x0).tolist())
+    best = np.exp(found.x if found.fun < cost(x0) else x0)
+    return Noise(*(float(f"{value:.3g}") for value in best))  # rounding in the log must not move the estimates
 
 
 def _middle(part: Residuals, weights: Weights, most: int) -> tuple[Residuals, Weights]:
