@@ -10,7 +10,7 @@ from skidsteer.identify import moments as by_moments
 from skidsteer.identify.squares import PlainFit, Squares, Value, fit_squares
 from skidsteer.kernels import rollout as kernels
 from skidsteer.kernels.lanes import LANES, LIMIT
-from skidsteer.kernels.roll import MEMORY, count_steps
+from skidsteer.kernels.roll import MEMORY, count_steps, paths
 from skidsteer.models import Icr, Linear
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import preset
@@ -141,6 +141,11 @@ def test_steps_without_slopes() -> None:
         assert_array_equal(full.distance, lean.distance)
         assert len(lean.by_lag) == 0
         assert_array_equal(linearize(TRUTH, full)[0], predict(TRUTH, wheels, windows, Timing(0.0, lag)))
+
+
+def test_paths_count_forwards_and_backwards() -> None:
+    distance = np.array([[1.0, -1.0], [-0.5, 0.3], [0.2, 0.0]])
+    assert_allclose(paths(distance, np.array([0, 2, 3])), [1.4, 0.1])
 
 
 # Squared cost

@@ -63,15 +63,18 @@ class Squares:
 
     cut: Steps
     measured: FloatArray  # (k, 3) yaw unwrapped
+    rolled: FloatArray  # (k, 2) [m] by both sides
     tiles: Tiles | None  # None where the windows are too uneven in number of steps
 
     @classmethod
     def of(cls, cut: Steps, windows: Windows, start: MatrixModel) -> Squares:
         """Prepare windows. A yaw is known but for whole turns: the one nearest to that of ``start`` is taken."""
         measured = windows.motion.copy()
-        yaw = _rolled(cut) @ start.matrix()[2]
+        # a window has at least one step, so that reduceat adds up each
+        rolled = np.asarray(np.add.reduceat(cut.distance, cut.offsets[:-1], axis=0))
+        yaw = rolled @ start.matrix()[2]
         measured[:, 2] = yaw + wrap(measured[:, 2] - yaw)
-        return cls(cut, measured, _tiles(cut, measured))
+        return cls(cut, measured, rolled, _tiles(cut, measured))
 
     def at(self, A: FloatArray) -> Value:
         """Value for the matrix A (3, 2); steps of any angle, though small ones are faster."""
@@ -95,7 +98,7 @@ class Squares:
         starts = np.concatenate([[0], np.cumsum(count)])
         rows = tiles.rows[np.repeat(low - starts[:-1], count) + np.arange(starts[-1])]
         some = Tiles(rows, starts, tiles.total[kept], tiles.measured[kept], tiles.reach)
-        return Squares(self.cut, self.measured, some)
+        return Squares(self.cut, self.measured, self.rolled, some)
 
     def covariance(self, value: Value, by_parameter: FloatArray) -> FloatArray:
         """Covariance (p, p) of the parameters at the minimum; infinite where the windows do not determine them.
@@ -108,8 +111,7 @@ class Squares:
             by_parameter: (6, p) derivative of the entries of A.
         """
         p, k = by_parameter.shape[1], len(self.measured)
-        rolled = _rolled(self.cut)
-        of_yaw = by_parameter[4:].T @ (rolled.T @ rolled) @ by_parameter[4:]
+        of_yaw = by_parameter[4:].T @ (self.rolled.T @ self.rolled) @ by_parameter[4:]
         H = by_parameter.T @ value.information @ by_parameter
         scale = np.sqrt(np.diag(H))
         if not (scale > 0).all() or np.linalg.cond(H / np.outer(scale, scale)) > SINGULAR or 3 * k <= p:
@@ -177,11 +179,6 @@ def _step(model: MatrixModel, value: Value, limits: FloatArray, damping: float) 
 
 def _by_parameter(model: MatrixModel) -> FloatArray:
     return model.matrix_jacobian().reshape(6, -1)
-
-
-def _rolled(cut: Steps) -> FloatArray:
-    """What both sides roll (k, 2) [m] in each window."""
-    return np.asarray(np.add.reduceat(cut.distance, cut.offsets[:-1], axis=0))  # a window has at least one step
 
 
 def _tiles(cut: Steps, measured: FloatArray) -> Tiles | None:
