@@ -13,6 +13,7 @@ import typer
 
 if TYPE_CHECKING:
     from skidsteer.drive import Drive
+    from skidsteer.io.bag import BagContents
     from skidsteer.vehicle import Vehicle
 
 app = typer.Typer(
@@ -56,6 +57,26 @@ class Source:
 
         name = self.words["vehicle"]
         return None if name is None else vehicle(name)
+
+    def load_one(self, paths: list[str]) -> Drive:
+        """Read what must be one drive.
+
+        Raises:
+            RequestError: several drives were named.
+        """
+        from skidsteer.errors import RequestError
+
+        drives = self.load(paths)
+        if len(drives) > 1:
+            raise RequestError(f"one drive at a time, got {len(drives)}")
+        return drives[0]
+
+    def topics(self, paths: list[str]) -> BagContents | None:
+        """What a bag offers; None where the drive is none."""
+        from skidsteer.io.drives import bag_contents
+        from skidsteer.io.options import parse_options
+
+        return bag_contents(paths[0], parse_options({n: w for n, w in self.words.items() if n != "vehicle"}))
 
     def load(self, paths: list[str], otherwise: Vehicle | None = None) -> list[Drive]:
         """Read drives; ``otherwise`` is their vehicle where none was asked for."""
@@ -103,6 +124,7 @@ def calibrate(
     lag: Lag = None,
     mount: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]|free", help="of the reference [m, rad]")] = None,
     seed: Annotated[int, typer.Option(help="of the genetic search")] = 0,
+    fix: Annotated[bool, typer.Option("--fix", help="apply the doctor's safe cures first")] = False,
     json: Json = False,
 ) -> None:
     """Calibrate a motion model from drives of one robot."""
@@ -111,7 +133,7 @@ def calibrate(
     from skidsteer.identify.calibrate import make_options
     from skidsteer.io.calibration_file import save_calibration
 
-    options = make_options(model, method, window, seed, time_offset, lag, mount)
+    options = make_options(model, method, window, seed, time_offset, lag, mount, fix)
     with console.progress_bar() as report:
         calibration = calibrate_drives(source.load(drives), options=options, progress=report)
     if out is not None:
@@ -159,6 +181,37 @@ def compare(drives: Drives, source: Source, window: Window = 2.0, json: Json = F
         typer.echo(documents.to_json(documents.comparison_document(held_out, selection)))
     else:
         console.show_comparison(held_out, selection)
+
+
+@app.command()
+@on_drives
+def check(
+    drive: Annotated[list[str], typer.Argument(metavar="DRIVE", help=DRIVE_HELP)],
+    source: Source,
+    fix: Annotated[bool, typer.Option("--fix", help="apply the safe cures, and write the drive to --out")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write the cured drive to")] = None,
+    json: Json = False,
+) -> None:
+    """What is wrong with a log, where, how sure that is, what it does, and the cure."""
+    from skidsteer import console, documents
+    from skidsteer.doctor import examine
+    from skidsteer.doctor import fix as cure
+    from skidsteer.errors import RequestError
+    from skidsteer.io.folder import write_folder
+
+    if fix != (out is not None):
+        raise RequestError("--fix and --out DIR belong together")
+    topics = source.topics(drive)
+    loaded = source.load_one(drive)
+    findings = examine(loaded)
+    cures: tuple[str, ...] = ()
+    if out is not None:
+        cured, cures = cure(loaded, findings)
+        write_folder(cured, out)
+    if json:
+        typer.echo(documents.to_json(documents.check_document(loaded, findings, topics, cures)))
+    else:
+        console.show_check(loaded, findings, topics, cures)
 
 
 @app.command()

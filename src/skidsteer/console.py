@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -12,9 +13,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from skidsteer.calibration import Calibration, Estimate, HeldOut
+from skidsteer.doctor import Finding
+from skidsteer.drive import Drive
 from skidsteer.evaluate import Evaluation
 from skidsteer.identify.calibrate import Progress as Report
 from skidsteer.identify.select import Excess, Selection
+
+if TYPE_CHECKING:
+    from skidsteer.io.bag import BagContents
 
 OUT = Console(highlight=False)
 ERR = Console(stderr=True, highlight=False)
@@ -134,3 +140,33 @@ def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> No
         table.add_row(name, _excess(c.translation), _excess(c.yaw), "worse" if c.worse else "")
     OUT.print(table)
     OUT.print(f"Chosen: {escape(selection.because)}.")
+
+
+COLOURS = {"error": "red", "warning": "yellow", "info": "blue"}
+
+
+def show_check(drive: Drive, findings: Sequence[Finding], topics: BagContents | None, cures: Sequence[str]) -> None:
+    """What a bag offers, and what is wrong with the drive."""
+    if topics is not None:
+        table = Table("topic", "type", "messages", "could serve as", "used as", box=None, pad_edge=False)
+        for t in topics.topics:
+            table.add_row(escape(t.name), escape(t.type), str(t.count), ", ".join(t.serves), t.used_as)
+        OUT.print(table)
+    parts = {"pose": drive.pose, "position": drive.position, "gyro": drive.gyro, "command": drive.command}
+    has = ", ".join(f"{name} {len(series)}" for name, series in parts.items() if series is not None)
+    start, end = drive.span
+    OUT.print(f"[bold]{escape(drive.name)}[/bold]: {end - start:.1f} s, wheels {len(drive.wheels)} samples, {has}")
+    for f in findings:
+        where = "" if not f.where else f" ({_times(f.where)})"
+        OUT.print(f"[{COLOURS[f.severity]}]{f.severity}[/] {f.kind}, {100 * f.confidence:.0f} % sure{where}")
+        OUT.print(f"  {escape(f.what)} {escape(f.effect)}")
+        OUT.print(f"  Cure: {escape(f.cure)}")
+    for line in cures:
+        OUT.print(f"[green]done[/] {escape(line)}")
+    if not findings:
+        OUT.print("Nothing found wrong.")
+
+
+def _times(where: Sequence[tuple[float, float]]) -> str:
+    shown = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in where[:3])
+    return shown if len(where) <= 3 else f"{shown} and {len(where) - 3} more"

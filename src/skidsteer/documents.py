@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skidsteer.calibration import Calibration, Estimate, HeldOut
+from skidsteer.doctor import Finding
+from skidsteer.drive import Drive
 from skidsteer.evaluate import Evaluation
 from skidsteer.identify.select import Selection
+
+if TYPE_CHECKING:
+    from skidsteer.io.bag import BagContents
 
 Document = dict[str, Any]
 
@@ -50,6 +56,19 @@ def comparison_document(held_out: dict[str, HeldOut], selection: Selection) -> D
         "models": {
             name: {**_held_out(h), "against_best": asdict(selection.against_best[name])} for name, h in held_out.items()
         },
+    }
+
+
+def check_document(
+    drive: Drive, findings: Sequence[Finding], topics: BagContents | None, cures: Sequence[str]
+) -> Document:
+    """What ``check --json`` prints."""
+    return {
+        "drive": drive.name,
+        "findings": [asdict(f) for f in findings],
+        "cures": list(cures),
+        "topics": [] if topics is None else [asdict(t) for t in topics.topics],
+        "notes": [] if topics is None else list(topics.notes),
     }
 
 

@@ -11,6 +11,7 @@ from typing import Literal, cast
 import numpy as np
 
 from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, Provenance
+from skidsteer.doctor import examine, fix
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
@@ -41,6 +42,7 @@ class CalibrateOptions:
     window: float = 2.0  # [s] length of the judging windows
     seed: int = 0  # of the genetic search
     mount: Mount | Literal["free"] | None = None  # of the reference's sensor; None: see ``mounting``
+    fix: bool = False  # apply the doctor's safe cures first
     spacing: float | None = None  # [s] least distance of reference poses used; None: chosen by the drives
     fit: FitOptions = field(default_factory=FitOptions)
 
@@ -75,7 +77,8 @@ def calibrate(
     options = options or CalibrateOptions(model=model)
     for d in drives:
         _usable(d)
-    _tell(progress, "looking at the reference", 0, 1)
+    _tell(progress, "looking at the log", 0, 1)
+    drives, complaints = _examined(drives, options.fix)
     options = _settled(drives, options)
     windows = [increment_windows(d, options.spacing or 0.0) for d in drives]
     names = candidates(drives, options)
@@ -99,10 +102,24 @@ def calibrate(
         provenance=_provenance(drives, found, options),
         method=options.method,
         selected_because=because,
-        warnings=(*_warnings(found, judged, chosen, drives), *notes),
+        warnings=(*complaints, *_warnings(found, judged, chosen, drives), *notes),
         held_out={name: HeldOut.of(errors.errors) for name, errors in judged.items()},
         regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
     )
+
+
+def _examined(drives: list[Drive], cure: bool) -> tuple[list[Drive], list[str]]:
+    """The drives, cured if asked for, and what the doctor says of them or did to them."""
+    out, said = [], []
+    for drive in drives:
+        findings = [f for f in examine(drive) if f.severity != "info"]
+        if cure:
+            drive, done = fix(drive, findings)
+            said += [f"{drive.name}: cured: {line}" for line in done]
+            findings = [f for f in findings if not f.fixable]
+        said += [f"{drive.name}: {f.what} {f.effect} {f.cure}".rstrip(".") for f in findings]
+        out.append(drive)
+    return out, said
 
 
 def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) -> Mount | None:
@@ -279,6 +296,7 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
         "lag": options.fit.lag,
         "mount": "free" if options.fit.mount is None else ",".join(f"{v:g}" for v in astuple(options.fit.mount)),
         "robust": options.fit.robust,
+        "fix": options.fix,
     }
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
     return Provenance(records, chosen, f"skidsteer {version('skidsteer')}", created)
@@ -292,6 +310,7 @@ def make_options(
     time_offset: float | None = None,
     lag: float | None = None,
     mount: str | None = None,
+    fix: bool = False,
 ) -> CalibrateOptions:
     """Options from the words of a command line; time offset and lag [s] are estimated where they are None.
 
@@ -302,7 +321,7 @@ def make_options(
         if value is not None and not (np.isfinite(value) and abs(value) <= 5.0 and (name != "lag" or value >= 0.0)):
             raise RequestError(f"the {name} must be a time in s of at most 5 s (a lag not negative), got {value}")
     fit_options = FitOptions(time_offset=time_offset, lag=lag)
-    return CalibrateOptions(model, cast("Method", method), window, seed, _parse_mount(mount), fit=fit_options)
+    return CalibrateOptions(model, cast("Method", method), window, seed, _parse_mount(mount), fix, fit=fit_options)
 
 
 def _parse_mount(text: str | None) -> Mount | Literal["free"] | None:

@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
@@ -13,6 +14,9 @@ from skidsteer.io.folder import read_csv_files, read_folder
 from skidsteer.io.options import AUTOMATIC, BagOptions
 from skidsteer.samples import sample
 from skidsteer.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from skidsteer.io.bag import BagContents
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +58,20 @@ def looks_like_a_bag(path: str) -> bool:
             os.path.join(path, "wheels.csv")
         )
     return path.lower().endswith((".bag", ".mcap", ".db3"))
+
+
+def bag_contents(path: str, options: BagOptions = AUTOMATIC) -> BagContents | None:
+    """What a bag offers, and what would be used; None where the path is no bag.
+
+    Raises:
+        DataError: the bag cannot be read.
+        RequestError: a topic that the options name is not there.
+    """
+    if not looks_like_a_bag(path) or not os.path.exists(path):
+        return None
+    from skidsteer.io.bag import list_bag
+
+    return list_bag(path, options)
 
 
 def _load_bag(path: str, vehicle: Vehicle | None, options: BagOptions) -> Drive:

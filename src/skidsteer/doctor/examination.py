@@ -1,0 +1,35 @@
+"""All tests of the doctor on one drive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from skidsteer.doctor.clocks import clock_findings
+from skidsteer.doctor.evidence import gather
+from skidsteer.doctor.excitation import excitation_findings
+from skidsteer.doctor.findings import SEVERITIES, Finding
+from skidsteer.doctor.limits import limit_findings
+from skidsteer.doctor.pauses import pause_findings
+from skidsteer.doctor.sampling import sampling_findings
+from skidsteer.doctor.signs import sign_findings
+from skidsteer.doctor.units import unit_findings
+from skidsteer.drive import Drive
+
+TESTS = (
+    sign_findings,
+    unit_findings,
+    clock_findings,
+    pause_findings,
+    sampling_findings,
+    limit_findings,
+    excitation_findings,
+)
+
+
+def examine(drive: Drive) -> tuple[Finding, ...]:
+    """What is wrong with a drive, or worth knowing, the worst first; empty where nothing is."""
+    evidence = gather(drive)
+    unfold = evidence.folding.unfold
+    found = [finding for test in TESTS for finding in test(evidence)]
+    found = [replace(f, where=tuple((unfold(start), unfold(end)) for start, end in f.where)) for f in found]
+    return tuple(sorted(found, key=lambda finding: -SEVERITIES.index(finding.severity)))
