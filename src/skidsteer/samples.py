@@ -1,15 +1,21 @@
-"""Drives that come with the package, so that everything can be tried without a robot: ``sample:NAME``."""
+"""Drives that come with the package, so that everything can be tried without a robot: ``sample:NAME``.
+
+Most are simulated; those of the Rover 4WD1 hold the printed measurements of a real robot.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from skidsteer.drive import Drive
+from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.models import Differential, Icr
+from skidsteer.models.slip_ratio import CircleRun
+from skidsteer.se2 import FloatArray, exp
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import preset
 
@@ -47,6 +53,87 @@ def _representative_paths() -> np.ndarray:
     return np.array(rows)
 
 
+# [m/s] Giannoccaro 2015, Table 1: inner and outer side of the runs 1 to 5
+ROVER_PAIRS = ((0.410, 0.632), (0.410, 0.957), (0.191, 0.957), (0.191, 1.059), (0.191, 1.249))
+ROVER_RADII = {  # [mm] Table 2, means of three runs each: 1L to 5L, 1R to 5R
+    "indoor": (3452, 1176, 471, 373, 309, 4553, 1397, 488, 388, 315),
+    "outdoor": (5800, 2163, 687, 496, 387, 7239, 2345, 644, 464, 364),
+    "football": (3548, 1730, 745, 563, 442),
+}
+ROVER_DRAGS = {  # [%] Table 4: how much faster than its rims the inner side moved
+    "indoor": (10.4, 24.4, 85.0, 78.7, 71.3, 16.6, 22.7, 67.5, 91.0, 79.5),
+    "outdoor": (11.5, 23.9, 88.0, 100.0, 88.9, 13.6, 30.4, 75.8, 90.0, 84.1),
+    "football": (2.0, 1.7, 48.5, 80.0, 93.3),
+}
+
+
+def rover_runs() -> tuple[CircleRun, ...]:
+    """The circle runs of the Rover 4WD1, Giannoccaro 2015, Tables 1, 2 and 4: ten indoors and outdoors, five on turf.
+
+    The speed over ground is that of the inner side, Table 4 through Eq. (22), brought to the robot's centre. The table
+    prints magnitudes: an inner side that lagged behind its rims by 100 %, as 4L outdoors, would stand still.
+    """
+    half = 0.5 * preset("rover-4wd1").track_width
+    runs = []
+    for surface, radii in ROVER_RADII.items():
+        for i, (radius_mm, drag) in enumerate(zip(radii, ROVER_DRAGS[surface], strict=True)):
+            (inner, outer), radius = ROVER_PAIRS[i % 5], 0.001 * radius_mm
+            left, right = (inner, outer) if i < 5 else (outer, inner)
+            speed = inner * (1.0 + 0.01 * drag) * radius / (radius - half)
+            runs.append(CircleRun(left, right, radius, surface, speed, name=f"{i % 5 + 1}{'L' if i < 5 else 'R'}"))
+    return tuple(runs)
+
+
+ROVER_SLOT = 10.0  # [s] in which a run keeps its speeds; its arc lies in the middle, far from any other run
+ROVER_ARC = (4.0, 5.2)  # [s] of the slot: short enough that no model errs by half a turn
+
+
+def rover_4wd1(surface: str | None = None) -> Drive:
+    """Measured circle runs of a real Rover 4WD1, laid out as arcs: Giannoccaro 2015, Tables 1, 2 and 4.
+
+    Measured are, of each run, the rim speeds (by the calibration of the commands, Fig. 5), the radius (mean of three
+    repetitions) and the speed over ground. Everything else is laid out: each run is one segment of 1.2 s, whose two
+    reference poses lie at the ends of an arc of that radius, speed / radius times 1.2 s of yaw apart, without noise and
+    without side slip (no heading was measured). The rim speeds are constant through the segment and long before and
+    after, so that clocks and lag have no effect: a time offset or lag estimated from this drive means nothing.
+
+    Args:
+        surface: one of ``ROVER_RADII``; None: all of them, one after the other.
+
+    Returns:
+        A drive with a segment for each run and the labels ``surface`` (0 indoor, 1 outdoor, 2 football), ``run`` (1 to
+        5) and ``turn`` (1 left, -1 right).
+    """
+    runs = [run for run in rover_runs() if surface in (None, run.surface)]
+    held = np.repeat([[run.v_left, run.v_right] for run in runs], 100, axis=0)
+    wheels = Series(np.linspace(0.0, ROVER_SLOT * len(runs), len(held), endpoint=False), held, "wheels")
+    ends = np.array([[ROVER_SLOT * i + end for end in ROVER_ARC] for i in range(len(runs))])
+    poses = np.concatenate([_arc(run, ROVER_ARC[1] - ROVER_ARC[0]) for run in runs])
+    return Drive(
+        "rover-4wd1" if surface is None else f"rover-4wd1-{surface}",
+        preset("rover-4wd1"),
+        wheels,
+        pose=Series(ends.ravel(), poses, "pose"),
+        segments=ends,
+        labels=_rover_labels(runs),
+        source="measured circle runs of Giannoccaro 2015, Tables 1, 2 and 4, laid out as arcs",
+    )
+
+
+def _arc(run: CircleRun, duration: float) -> FloatArray:
+    """First and last pose (2, 3) of a run that begins at the origin."""
+    turn = run.speed / run.radius if run.speed is not None else 0.0
+    return exp(np.outer([0.0, duration], [turn * run.radius, 0.0, turn if run.direction == "left" else -turn]))
+
+
+def _rover_labels(runs: Sequence[CircleRun]) -> dict[str, FloatArray]:
+    return {
+        "surface": np.array([float(list(ROVER_RADII).index(run.surface)) for run in runs]),
+        "run": np.array([float(run.name[0]) for run in runs]),
+        "turn": np.array([1.0 if run.direction == "left" else -1.0 for run in runs]),
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class Sample:
     """A drive that can be made at any time."""
@@ -57,6 +144,10 @@ class Sample:
 
 SAMPLES: dict[str, Sample] = {
     "p3at-lab": Sample(p3at_lab, "simulated Pioneer P3-AT on asphalt, known truth (Mandow 2007, Table I), 5 minutes"),
+    "rover-4wd1": Sample(rover_4wd1, "measured circle runs of a real Rover 4WD1 on three surfaces (Giannoccaro 2015)"),
+    "rover-4wd1-indoor": Sample(partial(rover_4wd1, "indoor"), "those ten on the floor of the laboratory"),
+    "rover-4wd1-outdoor": Sample(partial(rover_4wd1, "outdoor"), "those ten on the ground outside it, smoother"),
+    "rover-4wd1-football": Sample(partial(rover_4wd1, "football"), "those five on synthetic grass, left turns only"),
 }
 
 
