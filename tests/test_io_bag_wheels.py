@@ -107,6 +107,19 @@ def test_reset_is_bridged_with_the_speed_before_it() -> None:
     assert (rolled.wraps, rolled.resets) == (0, 2)
 
 
+def test_restart_at_zero_is_noticed_where_it_is_not_too_fast() -> None:
+    angle = np.array([6.0, 6.5, 7.0, 7.5, 0.0, 0.5, 1.0])
+    rolled = roll(clock(7, dt=0.5), angle[:, None], largest_rate=100.0)
+    assert_allclose(rolled.steps[:, 0], 0.5)
+    assert rolled.resets == 1
+
+
+def test_bridge_keeps_the_speed_over_steps_of_any_length() -> None:
+    ns = (np.array([0.0, 1.0, 2.0, 5.0, 6.0]) * 1e9).astype(np.int64)
+    steps = roll(ns, np.array([[1000.0], [1002.0], [1004.0], [-5000.0], [-4998.0]]), largest_rate=100.0).steps
+    assert_allclose(steps[:, 0], [2.0, 2.0, 6.0, 2.0])
+
+
 def test_impossible_jump_is_bridged_also_at_the_start() -> None:
     angle = np.array([0.0, 5000.0, 5001.0, 5003.0])
     assert_allclose(roll(clock(4), angle[:, None], largest_rate=100.0).steps[:, 0], [1.0, 1.0, 2.0])
