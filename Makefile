@@ -24,7 +24,6 @@ lint: .venv/ready   ## ruff and mypy
 	$(BIN)/mypy
 
 bench: .venv/ready  ## measure speed and memory, writes docs/benchmarks.md
-	$(BIN)/python -m pip install --quiet psutil
 	$(BIN)/python benchmarks/run.py
 
 clean:           ## remove everything that was made

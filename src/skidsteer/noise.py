@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from scipy.optimize import minimize
 
-from skidsteer.kernels import chain
+from skidsteer.kernels import chain, roll
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray, wrap
 from skidsteer.windows import Sees, Steps, Windows
@@ -90,8 +90,7 @@ def residuals(
     """
     residual = windows.motion - predicted
     residual[:, 2] = wrap(residual[:, 2])
-    cumulative = np.concatenate([[0.0], np.cumsum(np.abs(cut.distance).mean(axis=1))])
-    rolled = np.diff(cumulative[cut.offsets])
+    rolled = roll.paths(cut.distance, cut.offsets)
     first, last = (model.twist(s[:, 0], s[:, 1]) for s in (cut.start_speeds, cut.end_speeds))
     gyro = np.full(len(windows), np.nan) if turned is None else turned - predicted[:, 2]
     speaks = np.isfinite(gyro)
