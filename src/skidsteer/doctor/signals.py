@@ -58,7 +58,7 @@ class Signal:
     @property
     def t(self) -> FloatArray:
         """Times (n,) [s]."""
-        return self.start + self.step * np.arange(len(self.values))
+        return np.asarray(self.start + self.step * np.arange(len(self.values)))
 
     def at(self, t: FloatArray) -> FloatArray:
         """Values (m, k) at times (m,) by linear interpolation; NaN beside unknown ones and outside."""
