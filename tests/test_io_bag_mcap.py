@@ -18,6 +18,7 @@ from skidsteer.io.bag import list_bag, read_bag, read_bag_noted
 from skidsteer.io.mcap_records import (
     CHANNEL,
     CHUNK,
+    CHUNK_INDEX,
     DATA_END,
     FOOTER,
     MAGIC,
@@ -215,6 +216,25 @@ def test_damaged_summary_falls_back_to_the_data(tmp_path: Path, drive: Drive, wr
     got, _, notes = read_bytes(tmp_path, bytes(wrong))
     assert_same(got, drive)
     assert "its index is damaged" in notes
+
+
+def test_summary_that_lacks_a_chunk_is_not_trusted(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", long_drive())
+    body = records((tmp_path / "a.mcap").read_bytes())
+    last = max(index for index, (op, _) in enumerate(body) if op == CHUNK_INDEX)
+    assert len(read_bytes(tmp_path, joined(body[:last] + body[last + 1 :]))[0].wheels) == 20_000
+
+
+def test_chunk_shorter_than_it_says_is_left_out(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", long_drive())
+    body = records((tmp_path / "a.mcap").read_bytes())
+    index, content = [(i, content) for i, (op, content) in enumerate(body) if op == CHUNK][1]
+    # One byte more than there is, and no checksum to notice by.
+    size = int.from_bytes(content[16:24], "little") + 1
+    body[index] = (CHUNK, content[:16] + struct.pack("<QI", size, 0) + content[28:])
+    got, _, notes = read_bytes(tmp_path, joined(body))
+    assert 0 < len(got.wheels) < 20_000
+    assert f"1 of 3 chunks cannot be read and were left out (a chunk of {size} bytes unpacks to {size - 1})" in notes
 
 
 def test_damaged_chunk_is_left_out_and_told(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bag_files import START, VEHICLE, example_drive, write_bag
 from skidsteer.drive import Drive
 from skidsteer.io.bag import list_bag, read_bag, read_bag_noted
-from skidsteer.io.rosbag1_records import CHUNK, INDEX, MAGIC, read_record
+from skidsteer.io.rosbag1_records import CHUNK, CONNECTION, INDEX, MAGIC, MESSAGE, parse_records, read_record
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 PARTS = ("wheels", "pose", "gyro", "command")
@@ -110,6 +111,31 @@ def test_file_without_index_is_read(tmp_path: Path, kind: str) -> None:
     got, contents = read_bag_noted(path, VEHICLE)
     assert_same(got, drive)
     assert any("has no usable index" in note for note in contents.notes)
+
+
+def test_index_of_the_first_message_may_point_to_its_connection(tmp_path: Path) -> None:
+    # As the recorder in C++ has it: it takes down the place before it writes the connection.
+    drive = example_drive(2.0)
+    path = write_bag(drive, tmp_path / "b", "rosbag1")
+    data = bytearray(path.read_bytes())
+    chunk = read_record(data, read_record(data, len(MAGIC)).end)
+    before = {}  # message -> connection before it
+    records = list(parse_records(bytes(data[chunk.data : chunk.end])))
+    for one, other in pairwise(records):
+        if (one.op, other.op) == (CONNECTION, MESSAGE):
+            before[other.start] = one.start
+    position, changed = chunk.end, 0
+    while (record := read_record(data, position)).op == INDEX:
+        first = int.from_bytes(data[record.data + 8 : record.data + 12], "little")
+        if first in before:
+            data[record.data + 8 : record.data + 12] = before[first].to_bytes(4, "little")
+            changed += 1
+        position = record.end
+    assert changed == 4
+    path.write_bytes(data)
+    got, contents = read_bag_noted(path, VEHICLE)
+    assert_same(got, drive)
+    assert not any("cannot be read" in note for note in contents.notes)
 
 
 def test_chunks_without_index_are_walked(tmp_path: Path) -> None:
