@@ -28,6 +28,7 @@ from skidsteer.models.curvature import icr_coefficient
 from skidsteer.models.slip_ratio import CircleRun
 from skidsteer.reproduce import Row, compared, giannoccaro2015, wang2015
 from skidsteer.samples import SAMPLES, rover_runs, sample
+from skidsteer.se2 import exp
 from skidsteer.simulate import Sensors, kinematic_drive
 from skidsteer.vehicle import preset
 from skidsteer.windows import Timing, increment_windows, predict
@@ -122,6 +123,13 @@ def test_a_chi_that_grows_with_lambda_is_told() -> None:
     assert np.isfinite(fit.covariance).all()
 
 
+def test_wide_arcs_alone_are_told() -> None:
+    """Far out only a / b shows: chi - 1 falls as 1 / sqrt(lambda)."""
+    fit = fit_coefficient([4.0, 9.0, 16.0, 25.0], [2.0, 1.6, 1.45, 1.35])
+    assert fit.at_bound
+    assert fit.b == 10.0
+
+
 @pytest.mark.parametrize(
     ("x", "y", "message"),
     [
@@ -208,6 +216,23 @@ def test_a_delay_of_the_reference_is_taken_out() -> None:
     rims = rims_of(np.array([[0.3, 0.6], [0.6, 0.3]]))
     late = kinematic_drive("late", P3AT, SymmetricIcr(0.3, 1.0), rims, replace(EXACT, reference_delay=0.3))
     assert_allclose([run.chi(0.4) for run in runs_from_drive(late, Timing(0.3))], 1.5, rtol=1e-6)
+
+
+def test_uneven_stamps_do_not_shorten_the_path() -> None:
+    """0.45 m/s with 0.5 rad/s and side slip: arcs of unequal length still point the same way from their middles."""
+    t = np.cumsum(np.random.default_rng(1).uniform(0.25, 2.5, 12))
+    pose = Series(t, exp(np.outer(t, [0.45, -0.2, 0.5])), "pose")
+    wheels = Series([0.0, *np.arange(0.5, 20.0, 0.5)], np.tile([0.3, 0.6], (40, 1)), "wheels")
+    drive = Drive("uneven", P3AT, wheels, pose=pose)
+    (run,) = runs_from_drive(drive)
+    assert run.distance == pytest.approx(np.hypot(0.45, 0.2) * (run.end - run.start), rel=1e-9)
+
+
+def test_a_turn_too_small_is_no_run() -> None:
+    drive = kinematic_drive("s", P3AT, SymmetricIcr(0.3, 1.0), rims_of(np.array([[0.50, 0.53]])), EXACT)
+    with pytest.raises(RequestError, match=r"^s: no turn of at least 15 deg"):
+        runs_from_drive(drive)
+    assert len(runs_from_drive(drive, options=RunOptions(least_turn=0.1))) == 1
 
 
 def test_drives_without_runs_are_refused() -> None:

@@ -24,6 +24,8 @@ from skidsteer.se2 import FloatArray, rotate
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Timing, Windows, increment_windows, steps
 
+LIMITS = ((-0.999, 20.0), (0.0, 10.0))  # of a and b in a fit to runs
+
 # Wang: the ICR coefficient
 
 
@@ -76,7 +78,8 @@ def icr_error(rolled: ArrayLike, angle: float, rolled_error: ArrayLike, angle_er
 class CoefficientFit:
     """Eq. (44) through pairs of lambda and chi; ``covariance`` (2, 2) of a, b from their scatter.
 
-    Where ``at_bound`` is True the pairs do not fall with lambda: b is 0, and its variance is that of the slope there.
+    Where ``at_bound`` is True a or b stands at a limit of ``LIMITS``: with b = 0 chi does not fall with lambda, with b
+    at its upper limit the runs tell the ratio of a and b only (wide arcs alone). Use a constant ICR then.
     """
 
     a: float
@@ -93,7 +96,7 @@ class CoefficientFit:
 
 
 def fit_coefficient(path_curvature: ArrayLike, chi: ArrayLike, weight: ArrayLike | None = None) -> CoefficientFit:
-    """Nonlinear least squares of Wang 2015, Eq. (44), with b at least 0 and chi positive.
+    """Nonlinear least squares of Wang 2015, Eq. (44), inside ``LIMITS``: chi is positive and does not grow.
 
     Args:
         path_curvature: (n,) lambda of each run; the sign does not matter.
@@ -115,15 +118,15 @@ def fit_coefficient(path_curvature: ArrayLike, chi: ArrayLike, weight: ArrayLike
         fall = 1.0 + theta[1] * np.sqrt(x)
         return np.stack([w / fall, -w * theta[0] * np.sqrt(x) / fall**2], axis=-1)
 
-    start = np.array([max(float(np.median(y)) - 1.0, -0.9), 0.05])
-    bounds = ([-0.999, 0.0], np.inf)
-    found = least_squares(residual, start, jacobian, bounds, method="dogbox", xtol=1e-12, ftol=1e-14)
+    start = np.array([np.clip(np.median(y) - 1.0, -0.9, 19.0), 0.05])
+    lower, upper = np.array(LIMITS).T
+    found = least_squares(residual, start, jacobian, (lower, upper), method="dogbox", xtol=1e-12, ftol=1e-14)
     a, b = map(float, found.x)
     J = jacobian(found.x)
     freedom = max(len(y) - 2, 1)
     covariance = np.linalg.pinv(J.T @ J) * 2.0 * found.cost / freedom
     rms = float(np.sqrt(np.mean((icr_coefficient(x, a, b) - y) ** 2)))
-    return CoefficientFit(a, b, covariance, rms, len(y), bool(found.success), b == 0.0)
+    return CoefficientFit(a, b, covariance, rms, len(y), bool(found.success), bool(found.active_mask.any()))
 
 
 def _refuse_too_few(x: FloatArray, y: FloatArray) -> None:
