@@ -182,6 +182,12 @@ def test_gyro_upside_down_is_turned_back(tmp_path: Path, roll: float, rate: Any,
     assert ("deg from up; undone" in notes) == (roll > 1)
 
 
+def test_gyro_of_one_axis(tmp_path: Path) -> None:
+    drive, _ = read(tmp_path, [*WHEELS, *imu((np.nan, np.nan, 0.3))])
+    assert drive.gyro is not None
+    assert_allclose(drive.gyro.values, 0.3)
+
+
 def test_gyro_without_transform_is_as_it_stands(tmp_path: Path) -> None:
     drive, _ = read(tmp_path, [*WHEELS, *imu((0.0, 0.0, -0.3))])
     assert drive.gyro is not None
@@ -215,6 +221,16 @@ def test_fixes_become_metres_east_and_north(tmp_path: Path) -> None:
     expected = np.array([[0.0, 0.0], [0.0, 1.1113178], [0.7884681, 0.0]]) * (1 + 100 / 6.38e6)
     assert_allclose(drive.position.values, expected, atol=2e-6)
     assert "3 fixes, most of them GBAS or RTK" in notes
+
+
+def test_place_of_the_antenna_is_told_where_transforms_tell(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    fixes = [fix(index, 45.0 + 1e-6 * index, 7.0) for index in range(3)]
+    static = tf_message(link("base_link", "gps", (-0.3, 0.2, np.pi / 2)), topic="/tf_static")
+    path = write_messages(tmp_path / "b", "mcap", [*WHEELS, *fixes, static])
+    assert_allclose(read_bag_noted(path, VEHICLE)[1].antenna, (-0.3, 0.2))
+    path = write_messages(tmp_path / "c", "mcap", [*WHEELS, *fixes])
+    assert read_bag_noted(path, VEHICLE)[1].antenna is None
 
 
 def test_poor_fixes_are_dropped_and_counted(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,7 +18,7 @@ from skidsteer.io.messages import JOINT_STATE, TF_TYPES, Samples, gather
 from skidsteer.io.open_bag import is_bag, open_bag
 from skidsteer.io.options import AUTOMATIC, BagOptions
 from skidsteer.io.raw import BagTopic, Source, shown
-from skidsteer.io.reference import Frames, read_gyro, read_reference
+from skidsteer.io.reference import Frames, antenna_place, read_gyro, read_reference
 from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
 from skidsteer.io.topics import ROLES, Choice, Looks, candidates, choose, offer
 from skidsteer.io.wheels import joint_wheels, pair_wheels, sides_in, twist_wheels
@@ -43,13 +43,18 @@ class TopicEntry:
 
 @dataclass(frozen=True, slots=True)
 class BagContents:
-    """What a bag offers. ``chosen`` maps each role to its topic; ``notes`` are lines to show to the user."""
+    """What a bag offers. ``chosen`` maps each role to its topic; ``notes`` are lines to show to the user.
+
+    ``antenna`` is where the GNSS antenna sits in the base, x ahead and y left [m], if static transforms tell; the
+    position reference is that of the antenna all the same. Known only when the messages have been read.
+    """
 
     path: str
     kind: str
     topics: tuple[TopicEntry, ...]
     chosen: Mapping[str, str]
     notes: tuple[str, ...]
+    antenna: tuple[float, float] | None = None
 
 
 def list_bag(path: str | os.PathLike[str], options: BagOptions = AUTOMATIC) -> BagContents:
@@ -95,11 +100,21 @@ def read_bag_noted(
         notes += choice.notes()
         tables = _tables(source, choice, notes)
         parts = _parts(tables, choice, vehicle, options, notes)
-        contents = _contents(path, source, choice, looks, notes)
+        antenna = _antenna(choice, tables, options)
+        contents = replace(_contents(path, source, choice, looks, notes), antenna=antenna)
     start = common_start(list(parts.values()))
     series: dict[str, Any] = {part: to_series(timed, start, part) for part, timed in parts.items()}
     drive = Drive(_name(path), vehicle, source=os.fspath(path), sha256=_digest(parts), **series)
     return drive, contents
+
+
+def _antenna(
+    choice: Choice, tables: Mapping[BagTopic, list[Samples]], options: BagOptions
+) -> tuple[float, float] | None:
+    if "reference" not in choice.chosen:
+        return None
+    topic = choice.chosen["reference"].topics[0]
+    return antenna_place(topic, tables[topic], Frames.of(tables, options))
 
 
 def _name(path: str | os.PathLike[str]) -> str:

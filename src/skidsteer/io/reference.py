@@ -120,6 +120,17 @@ def _chain_pose(topic: BagTopic, frames: Frames, clock: Clock, notes: list[str])
     return timed.with_values(tf.planar(timed.values))
 
 
+def antenna_place(topic: BagTopic, tables: Sequence[Samples], frames: Frames) -> tuple[float, float] | None:
+    """Where the antenna of a GNSS topic sits in the base, x ahead and y left [m], if static transforms tell."""
+    if topic.type != NAVSAT or not tables:
+        return None
+    base_in_antenna = frames.base_in(_main(topic, tables, []).label[0])
+    if base_in_antenna is None:
+        return None
+    x, y, _ = tf.planar(tf.invert(base_in_antenna))
+    return float(x), float(y)
+
+
 def read_gyro(topic: BagTopic, tables: Sequence[Samples], frames: Frames, clock: Clock, notes: list[str]) -> Timed:
     """Yaw rate (n, 1) [rad/s]: the gyro's z, or where a static transform says that z does not point up, the rate
     about the base's z axis.
@@ -129,14 +140,13 @@ def read_gyro(topic: BagTopic, tables: Sequence[Samples], frames: Frames, clock:
     """
     samples = _main(topic, tables, notes)
     mounting = frames.base_in(samples.label[0])
-    up = np.array([0.0, 0.0, 1.0])
     if mounting is not None:
-        axis = tf.rotate(mounting[3:], up)  # the base's z axis in the frame of the IMU
+        axis = tf.rotate(mounting[3:], (0.0, 0.0, 1.0))  # the base's z axis in the frame of the IMU
         if axis[2] < _UPRIGHT:
             tilt = float(np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0))))
             notes.append(
                 f"{shown(topic.name)}: the static transform turns the IMU's z axis {tilt:.0f} deg from up; undone"
             )
-            up = axis
-    rate = (samples.values * up).sum(axis=1, keepdims=True) if abs(up[2]) < 1.0 else samples.values[:, 2:] * up[2]
-    return clock.timed(replace(samples, values=rate), shown(topic.name), notes)
+            return clock.timed(replace(samples, values=samples.values @ axis[:, None]), shown(topic.name), notes)
+    # Not a product with (0, 0, 1): IMUs of one axis say NaN for the two others.
+    return clock.timed(replace(samples, values=samples.values[:, 2:]), shown(topic.name), notes)
