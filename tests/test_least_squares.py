@@ -16,7 +16,7 @@ from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH
 from skidsteer.se2 import FloatArray, compose
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import preset
-from skidsteer.windows import Timing, Windows, increment_windows, predict
+from skidsteer.windows import Mount, Timing, Windows, increment_windows, predict
 
 P3AT = preset("pioneer-p3at")
 SEEDS = 200
@@ -282,6 +282,57 @@ def test_the_order_of_drives_does_not_matter() -> None:
     one, other = fit(START, drives, windows), fit(START, drives[::-1], windows[::-1])
     for name in (*NAMES[:6], "time_offset:a", "time_offset:b"):
         assert abs(one.named(name)[0] - other.named(name)[0]) < 0.02 * one.named(name)[1]
+
+
+# A gyro, a sensor beside the origin, positions alone
+
+
+def with_gyro(drive: Drive, late: float, bias: float, scale: float, seed: int) -> Drive:
+    """At 200 Hz, of the turn without motion noise, wrong by ``GyroErrors`` and 5 mrad/s of white noise a sample."""
+    t = np.arange(0.5, 68.0, 0.005)
+    around = Windows(t - 0.001, t + 0.001, np.zeros((len(t), 3)), np.zeros(len(t), bool))
+    rate = predict(P3AT_TRUTH, RIMS, around, Timing(0.0, P3AT_LAG))[:, 2] / 0.002
+    noise = 5e-3 * np.random.default_rng(seed).standard_normal(len(t))
+    return replace(drive, gyro=Series(t + late, rate / scale + bias + noise, "gyro"))
+
+
+def test_a_gyro_is_estimated_with_the_model() -> None:
+    scores = []
+    for seed in range(5):
+        ideal = kinematic_drive("d", P3AT, P3AT_TRUTH, RIMS, SENSORS, P3AT_LAG, (WALK, 1e-6), seed)
+        drive = with_gyro(ideal, late=0.12, bias=0.01, scale=0.99, seed=seed)
+        found = fit_of(drive)
+        truth = {"gyro_time_offset": 0.12, "gyro_bias": 0.01, "gyro_scale": 0.99}
+        truth |= dict(zip(NAMES, [*P3AT_TRUTH.theta, P3AT_LAG, 0.0], strict=True))
+        scores.append([(found.named(name)[0] - value) / found.named(name)[1] for name, value in truth.items()])
+        assert found.converged
+        assert found.noise.gyro == pytest.approx(5e-3 * np.sqrt(0.005), rel=0.3)
+        assert found.named("lag")[1] < 0.003  # from the poses alone 0.017
+    assert np.abs(scores).max() < 4.5
+    assert np.sqrt(np.mean(np.square(scores))) < 1.5
+    without = fit_of(drive, FitOptions(use_gyro=False))
+    assert_array_equal(without.values[:6], fit_of(ideal).values[:6])
+
+
+def test_the_place_of_the_sensor_is_found_with_a_symmetric_model() -> None:
+    truth, place = SymmetricIcr(0.28, 0.92), [0.25, -0.15, 0.0]
+    drive = kinematic_drive("d", P3AT, truth, RIMS, SENSORS, P3AT_LAG, P3AT_MOTION_NOISE, 3)
+    poses = pose_of(drive)
+    antenna = Series(poses.t, compose(poses.values, place)[:, :2], "position")
+    expected = {"icr_y": 0.28, "alpha": 0.92, "lag": P3AT_LAG, "time_offset": 0.0, "mount_x": 0.25, "mount_y": -0.15}
+    for seen in (
+        replace(drive, pose=Series(poses.t, compose(poses.values, place), "pose")),
+        replace(drive, pose=None, position=antenna),
+    ):
+        start = SymmetricIcr.nominal(P3AT)
+        found = fit(start, [seen], [increment_windows(seen)], FitOptions(mount=None))
+        for name, value in expected.items():
+            estimate, sigma = found.named(name)
+            assert abs(estimate - value) < 4.5 * sigma < 0.2
+        assert (found.mount.x, found.mount.y) == (found.named("mount_x")[0], found.named("mount_y")[0])
+        told = fit(start, [seen], [increment_windows(seen)], FitOptions(mount=Mount(*place)))
+        assert told.mount == Mount(*place)
+        assert abs(told.named("icr_y")[0] - 0.28) < 4.5 * told.named("icr_y")[1] < 0.05
 
 
 # Outliers
