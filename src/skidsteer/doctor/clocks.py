@@ -29,9 +29,9 @@ def clock_findings(evidence: Evidence) -> list[Finding]:
         if pair is not None and pair.known
     }
     found = []
-    for kind, finding in FINDINGS.items():
-        of_kind = {parts: [e for e in some if e.kind == kind] for parts, some in events.items()}
-        found += [finding(*blamed) for blamed in _blamed(of_kind)]
+    for kinds in ({"clock_drift", "clock_jump"}, {"clock_offset"}):
+        some = {parts: [event for event in all_ if event.kind in kinds] for parts, all_ in events.items()}
+        found += [FINDINGS[event.kind](part, other, event) for part, other, event in _blamed(some)]
     return found
 
 
@@ -42,11 +42,12 @@ def _blamed(events: dict[tuple[str, str], list[Event]]) -> list[tuple[str, str, 
         common = next(iter(set(struck[0]) & set(struck[1])))
         parts = max(struck, key=lambda p: max(e.gain for e in events[p]))
         return [_seen_from(common, parts, event) for event in events[parts]]
-    against_wheels = [parts for parts in struck if parts[1] == "wheels"] or struck
+    # What neither of two sensors has against the wheels cannot stand between the two.
+    by_wheels = [parts for parts in struck if parts[1] == "wheels" or len(events) < 3]
     # The one whose stamps pause was set forward; else a sensor is blamed rather than the wheels.
     return [
         _seen_from(parts[1] if event.paused and event.amount < 0.0 else parts[0], parts, event)
-        for parts in against_wheels
+        for parts in by_wheels
         for event in events[parts]
     ]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skidsteer.doctor.alignment import MEMORY, MODEL_ERROR, Alignment, most_probable_path
 from skidsteer.doctor.evidence import CLEAR, Pair
-from skidsteer.doctor.signals import typical
+from skidsteer.doctor.signals import BoolArray, typical
 from skidsteer.se2 import FloatArray
 
 CREDIBLE = (-0.6, 1.0)  # [s] offsets that delays of sensors and drives explain
@@ -92,8 +92,7 @@ def _unfolded(step: Event, unfold: Callable[[float], float]) -> Event:
 
 def _offset(alignment: Alignment, scores: FloatArray, level: float, unfold: Callable[[float], float]) -> list[Event]:
     total = scores.sum(axis=0)
-    credible = (alignment.lags >= CREDIBLE[0]) & (alignment.lags <= CREDIBLE[1])
-    usual = max(float(total[credible].max(initial=-np.inf)), 0.0)
+    usual = max(float(total[_credible(alignment)].max(initial=-np.inf)), 0.0)
     gain = float(total.max()) - usual
     if CREDIBLE[0] <= level <= CREDIBLE[1] or gain < CLEAR:
         return []
@@ -103,17 +102,23 @@ def _offset(alignment: Alignment, scores: FloatArray, level: float, unfold: Call
 
 
 def _line(alignment: Alignment, scores: FloatArray) -> tuple[float, float, float]:
-    """The best steady drift: over the drive [s], the lag at its start [s], and its score [nat]."""
+    """The best steady drift: over the drive [s], the lag at its start [s], and its score [nat].
+
+    A line that starts at a credible lag is taken unless another one is clearly better.
+    """
     span, step = alignment.t[-1] - alignment.t[0], _step(alignment)
     # A drift shows in the most probable path, too; so only drifts of its size need to be tried.
     most = min(FASTEST_DRIFT * span, 2.0 * LEAST + 1.5 * np.ptp(alignment.lags[alignment.path]))
-    best = (0.0, 0.0, -np.inf)
-    for drift in 2.0 * step * np.arange(-int(0.5 * most / step), int(0.5 * most / step) + 1):
-        total = _sheared(alignment, scores, drift).sum(axis=0)
-        top = int(np.argmax(total))
-        if total[top] > best[2]:
-            best = (float(drift), float(alignment.lags[top]), float(total[top]))
-    return best
+    drifts = 2.0 * step * np.arange(-int(0.5 * most / step), int(0.5 * most / step) + 1)
+    totals = np.stack([_sheared(alignment, scores, drift).sum(axis=0) for drift in drifts])
+    usual = np.where(_credible(alignment), totals, -np.inf)
+    chosen = usual if usual.max() > totals.max() - CLEAR else totals
+    i, j = np.unravel_index(int(np.argmax(chosen)), chosen.shape)
+    return float(drifts[i]), float(alignment.lags[j]), float(chosen[i, j])
+
+
+def _credible(alignment: Alignment) -> BoolArray:
+    return np.asarray((alignment.lags >= CREDIBLE[0]) & (alignment.lags <= CREDIBLE[1]))
 
 
 def _sheared(alignment: Alignment, scores: FloatArray, drift: float) -> FloatArray:

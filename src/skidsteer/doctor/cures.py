@@ -127,17 +127,18 @@ def _drop_repeated(drive: Drive, finding: Finding) -> Drive:
     return _with_samples(drive, finding.part, series.t, keep)
 
 
-# In this order: clocks of the recorded times first, as the findings tell recorded times.
+# In this order: findings tell recorded times, so jumps come before drifts and offsets; and a side that is negated is
+# that of the recorded columns, so it comes before they are exchanged.
 CURES: dict[str, tuple[Cure, str]] = {
     "frozen_reference": (_drop_frozen, "dropped repeated samples of the {part}"),
     "held_samples": (_drop_repeated, "dropped repeated samples of the {part}"),
     "clock_jump": (_unjump, "took {amount:.4g} s off the stamps of the {part} after the jump at {at:.1f} s"),
     "clock_drift": (_stretch, "took a drift of {amount:.6f} s/s off the stamps of the {part}"),
     "clock_offset": (_shift, "took {amount:.3f} s off the stamps of the {part}"),
-    "swapped_sides": (_swap, "exchanged the sides of the wheels"),
     "left_negated": (_scale(-1.0, 1.0), "negated v_left"),
     "right_negated": (_scale(1.0, -1.0), "negated v_right"),
     "both_negated": (_scale(-1.0, -1.0), "negated v_left and v_right"),
+    "swapped_sides": (_swap, "exchanged the sides of the wheels"),
     "gyro_sign": (_scale_part, "negated the gyro"),
     "reference_yaw_sign": (_scale_part, "negated the yaw of the pose"),
     "gyro_degrees": (_scale_part, "multiplied the gyro by {amount:.6f} (deg to rad)"),

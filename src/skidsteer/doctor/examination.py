@@ -30,6 +30,20 @@ def examine(drive: Drive) -> tuple[Finding, ...]:
     """What is wrong with a drive, or worth knowing, the worst first; empty where nothing is."""
     evidence = gather(drive)
     unfold = evidence.folding.unfold
-    found = [finding for test in TESTS for finding in test(evidence)]
+    found = _unexplained([finding for test in TESTS for finding in test(evidence)])
     found = [replace(f, where=tuple((unfold(start), unfold(end)) for start, end in f.where)) for f in found]
     return tuple(sorted(found, key=lambda finding: -SEVERITIES.index(finding.severity)))
+
+
+def _unexplained(found: list[Finding]) -> list[Finding]:
+    """The findings without gaps that a clock set forward left in the stamps of the same part."""
+    jumps = [(f.part, start, end) for f in found if f.kind == "clock_jump" for start, end in f.where]
+    out = []
+    for f in found:
+        if f.kind == "gap":
+            part = f.part
+            where = tuple(w for w in f.where if not any(j[0] == part and j[1] <= w[1] and j[2] >= w[0] for j in jumps))
+            f = replace(f, where=where)
+        if f.kind != "gap" or f.where:
+            out.append(f)
+    return out

@@ -149,9 +149,10 @@ def coarse_step(t: FloatArray, speeds: FloatArray) -> float:
     if len(speeds) < 2:
         return 0.0
     dt = np.diff(t)
-    near = dt < BREAK
-    by_distance = lattice((speeds[:-1] * dt)[near]) / float(np.median(dt))
-    return max(lattice(speeds), by_distance)
+    near, period = dt < BREAK, float(np.median(dt))
+    # Ticks are counted since the last sample, or, where speeds were logged ahead, until the next.
+    by_distance = [lattice((v * dt)[near]) / period for v in (speeds[1:], speeds[:-1])]
+    return max(lattice(speeds), *by_distance)
 
 
 def lattice(values: FloatArray) -> float:
