@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
@@ -51,6 +52,9 @@ class Weights:
         return cls(np.ones(count), np.ones(count), np.ones(count))
 
 
+AT_REST = 1e-9  # [m] rolled: no motion, but the decaying rest of a lag
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
     """Measured less predicted motions of one drive, and what their covariance depends on."""
@@ -90,7 +94,8 @@ def residuals(
     """
     residual = windows.motion - predicted
     residual[:, 2] = wrap(residual[:, 2])
-    rolled = roll.paths(cut.distance, cut.offsets)
+    path = roll.paths(cut.distance, cut.offsets)
+    rolled = np.where(path > AT_REST, path, 0.0)
     first, last = (model.twist(s[:, 0], s[:, 1]) for s in (cut.start_speeds, cut.end_speeds))
     gyro = np.full(len(windows), np.nan) if turned is None else turned - predicted[:, 2]
     speaks = np.isfinite(gyro)
@@ -129,18 +134,32 @@ def deviance(parts: list[Residuals], noise: Noise, weights: list[Weights]) -> fl
     return total
 
 
-def fit_noise(parts: list[Residuals], start: Noise, weights: list[Weights], most: int = 2500) -> Noise:
-    """Maximum-likelihood noise for given residuals, on at most ``most`` windows from the middle of each drive."""
+def fit_noise(
+    parts: list[Residuals],
+    start: Noise,
+    weights: list[Weights],
+    restricted: Callable[[Noise], float] | None = None,
+    most: int = 2500,
+) -> Noise:
+    """Maximum-likelihood noise for given residuals.
+
+    Args:
+        parts: residuals of each drive.
+        start: where the search begins.
+        weights: of the outliers of each drive.
+        restricted: what to minimise instead of the plain ``deviance``.
+        most: windows from the middle of each drive that the plain deviance is taken over.
+    """
     some, light = zip(*(_middle(p, w, most) for p, w in zip(parts, weights, strict=True)), strict=True)
     low, high = (np.log(astuple(b)) for b in BOUNDS)
 
     def cost(x: FloatArray) -> float:
-        return deviance(list(some), Noise(*np.exp(x).tolist()), list(light))
+        noise = Noise(*np.exp(x).tolist())
+        return deviance(list(some), noise, list(light)) if restricted is None else restricted(noise)
 
     x0 = np.clip(np.log(astuple(start)), low, high)
-    found = minimize(
-        cost, x0, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"eps": 1e-4, "ftol": 1e-6}
-    )
+    bounds = list(zip(low, high, strict=True))
+    found = minimize(cost, x0, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "ftol": 1e-6})
     best = np.exp(found.x if found.fun < cost(x0) else x0)
     return Noise(*(float(f"{value:.3g}") for value in best))  # rounding in the log must not move the estimates
 

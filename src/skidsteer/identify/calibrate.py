@@ -26,7 +26,7 @@ from skidsteer.windows import Mount, increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
-SYMMETRIC = ("differential", "multiplier", "icr_symmetric")  # about the origin
+SYMMETRIC = ("differential", "multiplier", "icr_symmetric", "curvature")  # about the origin
 YAW_ONLY = ("differential", "multiplier")  # all that a gyro alone can tell apart
 DETERMINED = 0.25  # a sigma above this share of what was known before the drive: not determined
 LEAST_MOVE = 0.5  # [m] rolled in all, below which there is nothing to calibrate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,9 @@ from skidsteer.kernels import chain
 from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals, reweigh, smoothed
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount, Timing, Windows, covered, linearize, seen_by, steps
+
+RESTRICTED = 1500  # windows up to which the noise is estimated by restricted likelihood
+Compared = tuple[Residuals, FloatArray, FloatArray]  # residuals of a drive, derivatives of its motions and of its gyro
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +34,7 @@ class Problem:
     limits: FloatArray
     options: FitOptions
 
-    def compare(self, state: Unknowns, i: int) -> tuple[Residuals, FloatArray, FloatArray]:
+    def compare(self, state: Unknowns, i: int) -> Compared:
         """Residuals of one drive, derivative (k, 3, f) of its predicted motions and (k, f) of its gyro residual.
 
         Columns are the free ones of ``Unknowns.columns``.
@@ -74,11 +78,18 @@ class Problem:
         self, state: Unknowns, noise: Noise, weights: list[Weights]
     ) -> tuple[FloatArray, FloatArray, float]:
         """Gauss-Newton matrix (f, f), scores (blocks, f) and deviance at a state, of the free unknowns; no prior."""
+        return self._information(state, self._compared(state), noise, weights)
+
+    def _compared(self, state: Unknowns) -> list[Compared]:
+        return [self.compare(state, i) for i in range(len(self.drives))]
+
+    def _information(
+        self, state: Unknowns, compared: list[Compared], noise: Noise, weights: list[Weights]
+    ) -> tuple[FloatArray, FloatArray, float]:
         rank = np.cumsum(self.free) - 1
         size = int(self.free.sum())
         H, scores, deviance = np.zeros((size, size)), [], 0.0
-        for i, windows in enumerate(self.windows):
-            part, jacobian, by_gyro = self.compare(state, i)
+        for i, (windows, (part, jacobian, by_gyro)) in enumerate(zip(self.windows, compared, strict=True)):
             number, count = _blocks(windows, self.options.block)
             h, s, d = chain.information(
                 windows.motion,
@@ -165,14 +176,32 @@ class Problem:
 
     def reweighed(self, state: Unknowns, noise: Noise, weights: list[Weights]) -> tuple[Noise, list[Weights]]:
         """Noise and outlier weights that fit the residuals at a state."""
-        parts = [self.compare(state, i)[0] for i in range(len(self.drives))]
+        compared = self._compared(state)
+        parts = [part for part, _, _ in compared]
         if self.options.noise is None:
-            noise = fit_noise(parts, noise, weights)
+            noise = fit_noise(parts, noise, weights, self._restricted(state, compared, weights))
         if self.options.robust:
             weights = reweigh(parts, noise)
             if self.options.noise is None:
-                noise = fit_noise(parts, noise, weights)
+                noise = fit_noise(parts, noise, weights, self._restricted(state, compared, weights))
         return noise, weights
+
+    def _restricted(
+        self, state: Unknowns, compared: list[Compared], weights: list[Weights]
+    ) -> Callable[[Noise], float] | None:
+        """Restricted deviance: what the parameters took from the residuals is given back to the noise (REML).
+
+        Matters where there are few windows for each parameter; None where there are so many that it does not.
+        """
+        if sum(map(len, self.windows)) > RESTRICTED:
+            return None
+        prior = np.diag(1.0 / self.prior[self.free] ** 2)
+
+        def deviance(noise: Noise) -> float:
+            H, _, total = self._information(state, compared, noise, weights)
+            return total + float(np.linalg.slogdet(H + prior)[1])
+
+        return deviance
 
     def headed(self, state: Unknowns, noise: Noise, weights: list[Weights]) -> Problem:
         """The same problem with better headings where the reference does not tell them."""
@@ -189,7 +218,7 @@ NOTHING = -1  # column of a derivative that is zero
 
 
 def _seen(mount: Mount, motion: FloatArray, jacobian: FloatArray, free: bool) -> tuple[FloatArray, FloatArray]:
-    """Motions and derivatives as the reference's sensor sees them; as they are where it is known to be at the origin."""
+    """Motions and derivatives as the reference's sensor sees them; as they are where it sits at the origin."""
     return seen_by(mount, motion, jacobian) if free or mount != Mount() else (motion, jacobian)
 
 

@@ -79,7 +79,8 @@ def find_offset(
     for offset in candidates:
         predicted = _speeds(predict(model, drive.wheels, some, Timing(float(offset), lag)), some.sees) * rate
         scores.append(sum(_explained(measured[:, i], predicted[:, i]) for i in range(2)))
-    return float(candidates[int(np.argmax(scores))]) if max(scores) > 0.2 else 0.0
+    best = candidates[np.array(scores) > max(scores) - 1e-6]  # several where nothing changes speed: the least of them
+    return float(best[np.argmin(np.abs(best))]) if max(scores) > 0.2 else 0.0
 
 
 def _speeds(motion: FloatArray, sees: str) -> FloatArray:

@@ -66,11 +66,31 @@ def _forward(L: FloatArray, x: FloatArray) -> None:
 
 @njit(cache=True)
 def _whitened_gain(L: FloatArray, P: FloatArray, K: FloatArray) -> None:
-    """K (3, 3) = P L^-T, so that the Kalman gain is K L^-1 and the update takes K K^T off P."""
+    """K (3, 3) = P L^-T, so that the Kalman gain is K L^-1."""
     for i in range(3):
         K[i, 0] = P[i, 0] / L[0, 0]
         K[i, 1] = (P[i, 1] - L[1, 0] * K[i, 0]) / L[1, 1]
         K[i, 2] = (P[i, 2] - L[2, 0] * K[i, 0] - L[2, 1] * K[i, 1]) / L[2, 2]
+
+
+@njit(cache=True)
+def _update(K: FloatArray, L: FloatArray, Pm: FloatArray, noise: FloatArray, P: FloatArray) -> None:
+    """P = (I - G) Pm (I - G)^T + G N G^T with the gain G = K L^-1: stays positive where the yaw is hardly known."""
+    G, A = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        G[i, 2] = K[i, 2] / L[2, 2]
+        G[i, 1] = (K[i, 1] - G[i, 2] * L[2, 1]) / L[1, 1]
+        G[i, 0] = (K[i, 0] - G[i, 1] * L[1, 0] - G[i, 2] * L[2, 0]) / L[0, 0]
+        for j in range(3):
+            A[i, j] = (1.0 if i == j else 0.0) - G[i, j]
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += A[i, a] * Pm[a, b] * A[j, b] + G[i, a] * noise[a, b] * G[j, b]
+            P[i, j] = total
+            P[j, i] = total
 
 
 @njit(cache=True)
@@ -157,9 +177,7 @@ def information(
             for i in range(3):
                 white[i, m] = -column[i]
                 D[i, m] -= K[i, 0] * column[0] + K[i, 1] * column[1] + K[i, 2] * column[2]
-        for i in range(3):
-            for j in range(3):
-                P[i, j] = Pm[i, j] - (K[i, 0] * K[j, 0] + K[i, 1] * K[j, 1] + K[i, 2] * K[j, 2])
+        _update(K, L, Pm, noise_end[k], P)
         for m in range(p):
             for i in range(4):
                 scores[block[k], m] -= white[i, m] * white[i, p]
@@ -221,8 +239,7 @@ def smooth(
         _forward(L, column)
         for i in range(3):
             d[k, i] = dm[k, i] - (K[i, 0] * column[0] + K[i, 1] * column[1] + K[i, 2] * column[2])
-            for j in range(3):
-                P[k, i, j] = Pm[k, i, j] - (K[i, 0] * K[j, 0] + K[i, 1] * K[j, 1] + K[i, 2] * K[j, 2])
+        _update(K, L, Pm[k], noise_end[k], P[k])
     start, end, moved = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
     for k in range(count - 1, -1, -1):
         last = k + 1 >= count or not joined[k + 1]
