@@ -202,7 +202,9 @@ def test_the_sample_was_driven_by_its_truth() -> None:
     spread = np.sqrt(((motion - expected) ** 2).mean(axis=0))
     # of one second: two poses, the start's yaw seen from some decimetres away, and the motion
     assert_allclose(spread, [0.015, 0.015, np.radians(0.5) * np.sqrt(2)], rtol=0.15)
-    assert P3AT_TRUTH == TRUTH
+    assert P3AT_TRUTH == TRUTH  # and this is what the documentation says
+    assert (P3AT_LAG, P3AT_SENSORS.reference_delay, P3AT_SENSORS.reference_rate) == (0.08, 0.15, 5.0)
+    assert (P3AT_SENSORS.position_sigma, P3AT_SENSORS.yaw_sigma) == (0.01, pytest.approx(np.radians(0.5)))
 
 
 def test_an_unknown_sample_lists_those_there_are() -> None:
