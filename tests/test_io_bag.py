@@ -285,7 +285,10 @@ WHEELS = joint_states("/joint_states", ["left_wheel", "right_wheel"])
             WHEELS + commands("/joy_teleop/cmd_vel") + commands("/cmd_vel") + commands("/platform/cmd_vel"),
             {"wheels": "/joint_states", "command": "/platform/cmd_vel"},
         ),
-        (WHEELS + commands("/cmd_vel") + commands("/nav/cmd_vel"), {"wheels": "/joint_states", "command": "/cmd_vel"}),
+        (
+            WHEELS + commands("/cmd_vel") + commands("/bt_teleop/cmd_vel"),
+            {"wheels": "/joint_states", "command": "/cmd_vel"},
+        ),
     ],
 )
 def test_topics_are_found_by_type_and_name(tmp_path: Path, messages: list[Message], chosen: dict[str, str]) -> None:

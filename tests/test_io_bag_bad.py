@@ -15,6 +15,7 @@ from bag_files import START, VEHICLE, Message, example_drive, wheel_messages, wr
 from skidsteer.errors import DataError, RequestError, SkidSteerError
 from skidsteer.io import compressed, open_bag
 from skidsteer.io.bag import is_bag, list_bag, read_bag, read_bag_noted
+from skidsteer.io.mcap_writer import _pack
 
 MCAP = b"\x89MCAP0\r\n"
 
@@ -185,6 +186,13 @@ def test_compressed_messages_damaged(tmp_path: Path) -> None:
     file.write_bytes(data[: start + 5] + bytes(3) + data[start + 8 :])
     _, contents = read_bag_noted(path, VEHICLE)
     assert any("1 messages cannot be unpacked; left out" in note for note in contents.notes)
+
+
+def test_message_cut_short_is_not_taken_for_whole() -> None:
+    packed = _pack(b"0123456789" * 50, "zstd")
+    assert compressed._unpack_message(packed) == b"0123456789" * 50
+    assert compressed._unpack_message(packed[:-3]) is None
+    assert compressed._unpack_message(b"") is None
 
 
 def test_file_that_unpacks_beyond_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bag_files import STORES, build
 from skidsteer.io.layout import Decoder, LayoutError, fill, read_layout
 from skidsteer.io.messages import TABLES, standard_definitions
-from skidsteer.io.raw import from_list
+from skidsteer.io.raw import RawMessages, from_list, join
 
 TYPES = sorted(name for name in TABLES if not name.startswith("tf/"))
 ENCODINGS = ("cdr-little", "cdr-big", "ros1")
@@ -127,6 +127,20 @@ def test_custom_definition_of_the_bag_is_followed() -> None:
     (block,) = Decoder(definitions, "x/msg/Ticks", "cdr").blocks(from_list([0], [message]))
     assert block.column("count").tolist() == [-5]
     assert block.column("more").tolist() == [[3, 4]]
+
+
+@given(st.lists(st.binary(max_size=6), min_size=1, max_size=20), st.lists(st.booleans(), min_size=20, max_size=20))
+def test_messages_survive_being_chosen_packed_and_joined(messages: list[bytes], keep: list[bool]) -> None:
+    def pairs(raw: RawMessages) -> list[tuple[int, bytes]]:
+        rows = zip(raw.bag_ns.tolist(), raw.start.tolist(), raw.size.tolist(), strict=True)
+        return sorted((ns, raw.buffer[start : start + size].tobytes()) for ns, start, size in rows)
+
+    expected = [(index, message) for index, message in enumerate(messages) if keep[index]]
+    chosen = from_list(range(len(messages)), messages).where(np.array(keep[: len(messages)]))
+    packed = chosen.packed()
+    assert pairs(packed) == expected
+    assert packed.buffer.size == sum(len(message) for _, message in expected)
+    assert pairs(join([packed, chosen])) == sorted(2 * expected)
 
 
 def test_damaged_messages_are_left_out_and_counted() -> None:

@@ -15,6 +15,8 @@ from skidsteer import se2
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError
 from skidsteer.io.bag import list_bag, read_bag, read_bag_noted
+from skidsteer.io.chunked import ByteFile, ChunkedSource
+from skidsteer.io.mcap_index import MCAP
 from skidsteer.io.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -88,14 +90,15 @@ def test_own_odometry_is_never_taken_for_a_reference(tmp_path: Path, drive: Driv
 
 
 def test_library_reads_what_was_written(tmp_path: Path) -> None:
-    # By hand: three poses on an arc to the left, 90 deg in two seconds, radius 2 m, beside a shifted odometry.
+    # By hand: three poses on an arc to the left, 90 deg in two seconds, radius 2 m, beside an odometry that starts
+    # elsewhere, one metre to the left of its origin.
     omega, v = np.pi / 4, np.pi / 2
     t = np.array([1.5, 2.5, 3.5])
     arc = se2.exp(np.array([[0, 0, 0], [v, 0, omega], [2 * v, 0, 2 * omega]]))
     wheels = Series(np.array([1.0, 2.0]), np.array([[0.3, 0.6], [0.9, 1.2]]))
     reference = Series(t, se2.compose(np.array([5.0, 1.0, np.pi]), arc))
     drive = Drive("d", VEHICLE, wheels, pose=reference, gyro=Series(t, np.array([0.1, 0.2, 0.3])))
-    write_mcap(tmp_path / "a.mcap", drive, Series(t, arc))
+    write_mcap(tmp_path / "a.mcap", drive, Series(t, arc + np.array([0.0, 1.0, 0.0])))
     found: dict[str, list[Any]] = {}
     with AnyReader([tmp_path / "a.mcap"]) as reader:
         for connection, ns, raw in reader.messages():
@@ -112,11 +115,11 @@ def test_library_reads_what_was_written(tmp_path: Path) -> None:
         for message in odometry:
             twist = message.twist.twist
             assert_allclose([twist.linear.x, twist.linear.y, twist.angular.z], [v, 0.0, omega], atol=1e-12)
-    assert_allclose([ours[2].pose.pose.position.x, ours[2].pose.pose.position.y], [2.0, 2.0], atol=1e-12)
+    assert_allclose([ours[2].pose.pose.position.x, ours[2].pose.pose.position.y], [2.0, 3.0], atol=1e-12)
     assert_allclose([ours[2].pose.pose.orientation.z, ours[2].pose.pose.orientation.w], [np.sin(omega), np.cos(omega)])
     move = found["/tf_static"][0].transforms[0].transform
     assert_allclose(
-        [move.translation.x, move.translation.y, move.rotation.z, move.rotation.w], [5, 1, 1, 0], atol=1e-12
+        [move.translation.x, move.translation.y, move.rotation.z, move.rotation.w], [5, 2, 1, 0], atol=1e-12
     )
     assert [message.angular_velocity.z for message in found["/imu/data"]] == [0.1, 0.2, 0.3]
     assert found["/imu/data"][0].orientation_covariance[0] == -1
@@ -284,6 +287,26 @@ def test_chunk_that_unpacks_to_more_than_it_says_is_cut_there(tmp_path: Path, co
     tracemalloc.stop()
 
 
+def test_index_that_repeats_a_message_is_not_believed(tmp_path: Path, drive: Drive) -> None:
+    # A million times one large message would be more than there is memory.
+    string = struct.pack("<I", 6) + b"/noise"
+    channel = (CHANNEL, struct.pack("<HH", 7, 0) + string + struct.pack("<I", 3) + b"cdr" + bytes(4))
+    message = struct.pack("<HIQQ", 7, 0, 0, 0) + bytes(1 << 20)
+    inner = joined([channel, (MESSAGE, message)], end=b"")[HEADS:]
+    offset = len(inner) - len(message) - RECORD_HEAD.size
+    entries = struct.pack("<QQ", 0, offset) * 100_000
+    chunk = struct.pack("<QQQI", 0, 0, len(inner), 0) + struct.pack("<I", 4) + b"zstd"
+    packed = _pack(inner, "zstd")
+    index = struct.pack("<HI", 7, len(entries)) + entries
+    data = joined([channel, (CHUNK, chunk + struct.pack("<Q", len(packed)) + packed), (MESSAGE_INDEX, index)])
+    (tmp_path / "a.mcap").write_bytes(data)
+    source = ChunkedSource(tmp_path / "a.mcap", MCAP)
+    assert source.topics[0].count == 100_000
+    (read,) = source.read(source.topics)
+    source.close()
+    assert len(read[1]) == 1
+
+
 def test_topic_of_two_channels_is_one(tmp_path: Path, drive: Drive) -> None:
     write_mcap(tmp_path / "a.mcap", drive, compression="")
     body = records((tmp_path / "a.mcap").read_bytes())
@@ -341,7 +364,6 @@ def test_other_encodings_are_listed_and_not_used(tmp_path: Path, drive: Drive) -
 
 def test_images_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from bag_files import START, Message, drive_messages, write_messages
-    from skidsteer.io.chunked import ByteFile
 
     drive = example_drive(1.0)
     image = Message(

@@ -227,9 +227,16 @@ class ChunkedSource:
         data = chunk_records(self._file, self._form, chunk)
         buffer = np.frombuffer(data, dtype=np.uint8)
         if offsets is None:
-            yield buffer, self._form.parse_messages(buffer, self._form.message_starts(data))
+            yield buffer, self._parsed(buffer, self._form.message_starts(data))
         elif starts := [offsets[key] for key in keys if key in offsets]:
-            yield buffer, self._form.parse_messages(buffer, np.concatenate(starts))
+            yield buffer, self._parsed(buffer, np.concatenate(starts))
+
+    def _parsed(self, buffer: ByteArray, starts: IntArray) -> MessageTable:
+        table = self._form.parse_messages(buffer, starts)
+        # Else a small file could stand for more messages than there is memory.
+        if int(table.size.sum()) > buffer.size:
+            raise DamagedError("the messages of a chunk overlap")
+        return table
 
     def _picked(self, starts: IntArray, ends: IntArray) -> Iterator[tuple[ByteArray, MessageTable]]:
         """Read message records (n,) from where they lie in the file, skipping what lies between if it is much."""
@@ -241,7 +248,7 @@ class ChunkedSource:
         for group in np.split(np.arange(len(starts)), np.flatnonzero(np.diff(cost // BATCH_BYTES)) + 1):
             data, where = self._read_spans(starts[group], ends[group])
             buffer = np.frombuffer(data, dtype=np.uint8)
-            yield buffer, self._form.parse_messages(buffer, where)
+            yield buffer, self._parsed(buffer, where)
 
     def _read_spans(self, starts: IntArray, ends: IntArray) -> tuple[bytes, IntArray]:
         """Spans of the file (n,), sorted: the bytes read, and where each span begins in them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,15 +56,16 @@ class RawMessages:
 
     def packed(self) -> RawMessages:
         """The same messages in a buffer of their own, without what lay between them, those of one size together."""
-        used = int(self.size.sum())
-        if used == self.buffer.size:
+        if not len(self):
+            return replace(self, buffer=self.buffer[:0])
+        if int(self.size.sum()) == self.buffer.size:
             return self
         order = np.argsort(self.size, kind="stable")
         sizes, first = np.unique(self.size[order], return_index=True)
         groups = np.split(self.start[order], first[1:])
         rows = [rows_of_bytes(self.buffer, group, size) for size, group in zip(sizes.tolist(), groups, strict=True)]
         size = self.size[order]
-        packed = np.concatenate([row.ravel() for row in rows]) if rows else self.buffer[:0]
+        packed = np.concatenate([row.ravel() for row in rows])
         return RawMessages(self.bag_ns[order], packed, np.cumsum(size) - size, size)
 
 
