@@ -26,7 +26,10 @@ lint: .venv/ready   ## ruff and mypy
 bench: .venv/ready  ## measure speed and memory, writes docs/benchmarks.md
 	$(BIN)/python benchmarks/run.py
 
+studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md
+	$(BIN)/python benchmarks/models.py
+
 clean:           ## remove everything that was made
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench studies clean

@@ -231,9 +231,17 @@ def test_warthog_on_asphalt_meets_its_figures(real: object, run: Run) -> None:
     assert figures["differential"]["yaw_deg"]["rms"] > 15.0
 
 
+def test_the_genetic_search_says_how_far_it_is_from_the_optimum(short: Path, run: Run) -> None:
+    document = json.loads(run("calibrate", short, "--model", "icr", "--method", "genetic", "--json").stdout)
+    assert document["method"] == "genetic"
+    (note,) = [w for w in document["warnings"] if w.startswith("genetic search")]
+    assert "above the best point of its 8-bit grid" in note
+    assert "above the least squares" in note
+
+
 @pytest.mark.parametrize("name", POSE_DRIVES)
 def test_every_real_drive_is_calibrated_and_explained(name: str, real: object, run: Run) -> None:
-    result = run("calibrate", real(name), "--json")  # type: ignore[operator]
+    result = run("calibrate", real(name), "--model", "icr", "--json")  # type: ignore[operator]
     assert result.returncode == 0, result.stderr
     document = json.loads(result.stdout)
     assert document["selected_because"]
