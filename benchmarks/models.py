@@ -46,10 +46,10 @@ def main() -> None:
         "",
         "Written by `make studies` (`benchmarks/models.py`); nothing here is edited by hand.",
         "",
-        "Each model is calibrated on the even command steps of a window drive and judged on the odd ones, windows of 2 s:",
-        "median (RMS) error of the end position and of the yaw against the reference, median yaw error against the",
-        "integrated gyro, and the share of end poses inside the predicted 68 % and 95 % regions. The stamps of the Warthog",
-        "drives' reference scatter: that is the floor of the yaw column, not of the gyro's.",
+        "Each model is calibrated on the even command steps of a window drive and judged on the odd ones, windows of",
+        "2 s: median (RMS) error of the end position and of the yaw against the reference, median yaw error against",
+        "the integrated gyro, and the share of end poses inside the predicted 68 % and 95 % regions. The stamps of",
+        "the Warthog drives' reference scatter: that is the floor of the yaw column, not of the gyro's.",
     ]
     for name in DRIVES:
         drive = load_drive(DATA / name)
