@@ -13,7 +13,7 @@ from skidsteer.identify.least_squares import Fit, FitOptions, find_offset, fit
 from skidsteer.models import Differential, Icr, SymmetricIcr
 from skidsteer.noise import Noise
 from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH
-from skidsteer.se2 import FloatArray, compose
+from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import preset
 from skidsteer.windows import Mount, Timing, Windows, increment_windows, predict
@@ -161,29 +161,53 @@ def test_reported_covariance_is_honest_when_the_noise_is_known() -> None:
     assert_allclose(np.median(known.sigmas, axis=0), np.sqrt(np.diag(cramer_rao())), rtol=0.03)
 
 
-def test_reported_covariance_is_nearly_honest_when_the_noise_is_estimated() -> None:
-    """Its mean squared distance is at most a quarter above 7: sigmas are short by at most a tenth.
-
-    The seven parameters take up some of the slow errors, so that walk and turn come out about 7 % low, and their own
-    uncertainty does not enter the sigmas.
-    """
-    found = trials(SEEDS)
-    low = chi2.ppf(0.025, 7 * SEEDS) / SEEDS
-    assert low < found.distances.mean() < 1.25 * 7.0
-    ratio = np.median(found.sigmas, axis=0) / np.sqrt(np.diag(cramer_rao()))
-    assert ((ratio > 0.9) & (ratio < 1.05)).all()
+def test_reported_covariance_is_honest_when_the_noise_is_estimated() -> None:
+    low, high = chi2.ppf([0.025, 0.975], 7 * SEEDS) / SEEDS
+    assert low < trials(SEEDS).distances.mean() < high
+    ratio = np.median(trials(SEEDS).sigmas, axis=0) / np.sqrt(np.diag(cramer_rao()))
+    assert_allclose(ratio, 1.0, atol=0.05)
 
 
 def test_noise_is_found_with_the_parameters() -> None:
+    """Restricted likelihood: what the parameters take up of the slow errors is given back to walk and turn."""
     ratio = trials(SEEDS).noises.mean(axis=0)
     assert_allclose(ratio[:2], 1.0, atol=0.02)
-    assert_allclose(ratio[2:], 1.0, atol=0.12)
+    assert_allclose(ratio[2:], 1.0, atol=0.06)
 
 
 def test_every_fit_converges_and_none_is_inflated() -> None:
     """By chance the test of the covariance cries wolf in one fit of a thousand."""
     assert trials(SEEDS).converged.all()
     assert (trials(SEEDS).inflated > 1.0).sum() <= 2
+
+
+def lasting_errors(seed: int) -> Drive:
+    """Three minutes in which the ground changes every ten seconds, and with it both scale factors by 2 %."""
+    rims, rng = rims_of(MANOEUVRES * 3), np.random.default_rng(seed)
+    t = np.arange(0.05, rims.t[-1] - 0.05, 0.2)
+    windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
+    ground = (t[:-1] // 10.0).astype(int)
+    scale = P3AT_TRUTH.theta[3:] * (1.0 + 0.02 * rng.standard_normal((ground.max() + 1, 2)))
+    models = [replace(P3AT_TRUTH, alpha_left=a, alpha_right=b) for a, b in scale]
+    motions = np.array([predict(m, rims, windows, Timing(0.0, P3AT_LAG)) for m in models])
+    poses = chain(motions[ground, np.arange(len(ground))])
+    noise = np.array([NOISE.position, NOISE.position, NOISE.yaw]) * rng.standard_normal(poses.shape)
+    return Drive("d", P3AT, rims, pose=Series(t, compose(poses, exp(noise)), "pose"))
+
+
+def test_errors_that_last_are_noticed_and_reported() -> None:
+    """The noise model knows errors of each metre only; the scatter between stretches gives the honest sigma."""
+    scores, reported, inflated = [], [], []
+    for seed in range(10):
+        found = fit_of(lasting_errors(seed))
+        values, sigmas = zip(*(found.named(name) for name in ("alpha_left", "alpha_right")), strict=True)
+        scores.append((np.array(values) - P3AT_TRUTH.theta[3:]) / sigmas)
+        reported.append(sigmas)
+        inflated.append(found.inflated)
+    assert (np.array(inflated) > 2.0).mean() > 0.7
+    # twenty grounds of 2 %, of which straights and turns tell different shares
+    assert 0.02 / np.sqrt(20.0) * 0.6 < np.median(reported) < 0.02 / np.sqrt(20.0) * 2.0
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.7
 
 
 # What is fixed
@@ -221,6 +245,21 @@ def test_a_fixed_model_is_kept() -> None:
 
 def test_fixed_noise_is_kept() -> None:
     assert fit_of(drive_of(4), FitOptions(noise=NOISE)).noise == NOISE
+
+
+def test_what_was_known_before_weighs_against_poor_data() -> None:
+    """With a noise said to be 150 times as large, estimates lie between start and truth as their covariances say."""
+    drive, free = drive_of(8), slice(0, 5)
+    timing = {"time_offset": offset_of(8), "lag": P3AT_LAG, "robust": False}
+    loud = Noise(*(150.0 * v for v in astuple(NOISE)))
+    sharp = fit_of(drive, FitOptions(noise=NOISE, **timing))
+    poor = fit_of(drive, FitOptions(noise=loud, **timing))
+    prior = np.diag(1.0 / poor.prior_sigma[free] ** 2)
+    pull = poor.covariance[free, free] @ prior @ (START.theta - sharp.values[free])
+    assert np.abs(pull).max() > 0.02
+    assert_allclose(poor.values[free] - sharp.values[free], pull, atol=0.25 * np.abs(pull).max())
+    information = np.linalg.inv(sharp.covariance[free, free]) / 150.0**2
+    assert_allclose(np.linalg.inv(poor.covariance[free, free]), information + prior, rtol=0.2, atol=3.0)
 
 
 def test_the_same_drive_gives_the_same_fit() -> None:
@@ -426,6 +465,8 @@ def test_calibrate_takes_two_drives() -> None:
     calibration = calibrate([drive_of(21, "a", late=0.3), drive_of(22, "b", late=-0.1)], "icr")
     assert calibration.estimates["time_offset:a"].value == pytest.approx(0.3, abs=0.05)
     assert calibration.estimates["time_offset:b"].value == pytest.approx(-0.1, abs=0.05)
+    middle = np.mean([calibration.estimates[f"time_offset:{name}"].value for name in "ab"])
+    assert calibration.timing == Timing(float(middle), calibration.estimates["lag"].value)
     assert [r.name for r in calibration.provenance.drives] == ["a", "b"]
 
 
