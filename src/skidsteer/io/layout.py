@@ -281,5 +281,9 @@ class Decoder:
 def _agrees(layout: Layout, example: ByteArray, matrix: ByteArray) -> NDArray[np.bool_]:
     same = np.ones(len(matrix), dtype=bool)
     for start, end in layout.fixed:
-        same &= (matrix[:, start:end] == example[start:end]).all(axis=1)
+        whole = start + (end - start) // 8 * 8
+        for first, last, word in ((start, whole, np.uint64), (whole, end, np.uint8)):
+            if first < last:
+                rows = np.ascontiguousarray(matrix[:, first:last]).view(word)
+                same &= (rows == example[first:last].view(word)).all(axis=1)
     return same

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 IntArray = NDArray[np.int64]
 ByteArray = NDArray[np.uint8]
 # What rosbags' type system makes of a message definition: type name -> (constants, [(field, (kind, description))]).
 Definitions = dict[str, Any]
 
-# Decoded together: enough to hide the cost of a NumPy call, little enough to be forgotten in the memory it takes.
-BATCH_MESSAGES = 8192
-BATCH_BYTES = 8 << 20
+# Decoded together: enough to hide the cost of a NumPy call, little enough to stay in the cache.
+BATCH_MESSAGES = 4096
+BATCH_BYTES = 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class Source(Protocol):
         ...
 
 
-def from_list(bag_ns: Sequence[int], messages: Sequence[bytes]) -> RawMessages:
+def from_list(bag_ns: ArrayLike, messages: Sequence[bytes]) -> RawMessages:
     """Join messages that come one by one."""
     size = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     buffer = np.frombuffer(b"".join(messages), dtype=np.uint8)

@@ -6,14 +6,15 @@ import sqlite3
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
 
 from skidsteer.errors import DataError
-from skidsteer.io.raw import BagTopic, Definition, IntArray, RawMessages, from_list, shown
+from skidsteer.io.raw import BagTopic, Definition, RawMessages, from_list, shown
 
-_AT_A_TIME = 2048
+_AT_A_TIME = 512  # rows; more no longer fit the cache and take longer
 _LONGEST = 64 << 20  # bytes of one value; SQLite refuses longer ones
 _KINDS = {"ros2msg": "msg", "ros2idl": "idl"}
 
@@ -51,24 +52,20 @@ class SqliteSource:
         groups = [list(wanted)] if limit is None else [[key] for key in wanted]
         try:
             for keys in groups:
-                for owner, messages in self._batches(keys, -1 if limit is None else limit):
-                    for key in np.unique(owner).tolist():
-                        yield wanted[key], messages.where(owner == key)
+                for rows in self._batches(keys, -1 if limit is None else limit):
+                    for key, messages in _by_topic(rows):
+                        yield wanted[key], messages
         except sqlite3.Error as error:
             note = f"{self._path.name}: damaged; not all of its messages can be read ({shown(error)})"
             self.notes += [note] if note not in self.notes else []
 
-    def _batches(self, keys: Sequence[int], limit: int) -> Iterator[tuple[IntArray, RawMessages]]:
-        """So many messages at a time, and the topic of each."""
+    def _batches(self, keys: Sequence[int], limit: int) -> Iterator[list[tuple[int, int, bytes]]]:
+        """So many rows of these topics at a time."""
         marks = ",".join("?" * len(keys))
         query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) LIMIT ?"
         cursor = self._connection.execute(query, (*keys, limit))
         while batch := cursor.fetchmany(_AT_A_TIME):
-            try:
-                yield _joined(batch)
-            except (TypeError, ValueError, OverflowError):  # a column of any type can hold values of any other
-                if sound := [row for row in batch if _is_sound(*row)]:
-                    yield _joined(sound)
+            yield batch
 
     def _guard(self) -> None:
         """Take from the file nothing but data, and nothing absurdly long."""
@@ -113,10 +110,20 @@ class SqliteSource:
             return found
 
 
-def _joined(rows: Sequence[tuple[int, int, bytes]]) -> tuple[IntArray, RawMessages]:
-    owner, stamps, messages = zip(*rows, strict=True)
-    return np.array(owner, dtype=np.int64), from_list(stamps, messages)
+def _by_topic(rows: list[tuple[int, int, bytes]]) -> Iterator[tuple[int, RawMessages]]:
+    """Rows by topic; those with anything but numbers and bytes in them, as a column can hold any type, are left out."""
+    try:
+        parts = list(_split(rows))
+    except (TypeError, ValueError, OverflowError):
+        sound = [row for row in rows if isinstance(row[1], int) and isinstance(row[2], bytes)]
+        parts = list(_split(sound))
+    yield from parts
 
 
-def _is_sound(owner: object, stamp: object, message: object) -> bool:
-    return isinstance(owner, int) and isinstance(stamp, int) and isinstance(message, bytes)
+def _split(rows: list[tuple[int, int, bytes]]) -> Iterator[tuple[int, RawMessages]]:
+    # Everything that is done once a message is done in C.
+    owner, stamps, messages = zip(*rows, strict=True) if rows else ((), (), ())
+    keys, times = np.array(owner, dtype=np.int64), np.array(stamps, dtype=np.int64)
+    for key in np.unique(keys).tolist():
+        of_key = keys == key
+        yield key, from_list(times[of_key], tuple(compress(messages, of_key.tolist())))
