@@ -236,8 +236,8 @@ def clock_drift(drive: Drive, rng: np.random.Generator) -> Iterator[Variant]:
 
 def clock_jump(drive: Drive, rng: np.random.Generator) -> Iterator[Variant]:
     for part in parts(drive, *SENSORS) if clear_clocks(drive) else ():
-        for size in (1.8, 2.5, 4.0) if drive.segments is not None else (1.8, 4.0, 12.0, 25.0):
-            when, signed = moment(drive, rng.uniform(0.3, 0.7)), size * rng.choice([-1, 1])
+        for size in (1.8, 2.5, 4.0) if drive.segments is not None else (1.8, 4.0, 12.0, 25.0, 3600.0):
+            when, signed = moment(drive, rng.uniform(0.3, 0.7)), size * (rng.choice([-1, 1]) if size < 100.0 else 1)
             tolerance = 10.0 if drive.segments is None else 60.0
             where = (when - size - tolerance, when + size + tolerance)
             wrong = jumped(drive, part, when, signed, rng)

@@ -1,6 +1,7 @@
 import importlib.util
+import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -21,6 +22,7 @@ from skidsteer.doctor.limits import clipped
 from skidsteer.doctor.sampling import hold_length, lattice
 from skidsteer.doctor.signals import Signal, Total, turned_by, typical
 from skidsteer.doctor.signs import confidence
+from skidsteer.doctor.units import widths
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.samples import sample
@@ -161,6 +163,17 @@ def test_positions_without_heading_tell_units_and_a_negated_side(drive: Drive) -
     assert_allclose(the("clock_offset", at(plain, "position", positions.t + 3.0)).amount, 3.15, atol=0.25)
 
 
+def test_findings_are_plain_numbers_and_words(drive: Drive) -> None:
+    faults = [wheels(drive, f * drive.wheels.values) for f in (0.3, 9.0, 1e3, 1e5)]
+    for wrong in [*faults, without(drive, "pose", 20.0, 23.0), gyro(drive, 0.3 * np.sign(drive.gyro.values))]:
+        for finding in examine(wrong):
+            assert json.loads(json.dumps(asdict(finding)))["kind"] == finding.kind
+            assert type(finding.amount) is float
+            assert finding.what.endswith(".")
+            assert finding.effect.endswith(".")
+            assert finding.cure.endswith((".", ")."))
+
+
 def test_ticks_are_named_and_cured_where_their_number_is_known(drive: Drive) -> None:
     per_turn = 2.0 * np.pi * 0.11 * 138_000.0
     wrong = wheels(drive, drive.wheels.values * 138_000.0)
@@ -202,9 +215,7 @@ def test_a_clock_set_forward_is_found_and_undone(drive: Drive, part: str, size: 
     finding = the("clock_jump", wrong)
     assert finding.part == part
     assert_allclose(finding.amount, size, atol=0.3)
-    ((start, end),) = finding.where
-    assert start < 125.0
-    assert end > 120.0
+    assert_allclose(finding.where, [(120.0, 120.0 + size)], atol=0.4)  # by the pause in its own stamps
     assert not {"clock_jump", "clock_offset"} & {f.kind for f in examine(fix(wrong, [finding])[0])}
 
 
@@ -216,6 +227,18 @@ def test_a_clock_set_back_is_found(drive: Drive) -> None:
     finding = the("clock_jump", replace(drive, gyro=Series(t, drive.gyro.values[keep])))
     assert finding.part == "gyro"
     assert_allclose(finding.amount, -4.0, atol=0.3)
+
+
+def test_a_jump_is_told_on_the_clock_that_jumped(drive: Drive) -> None:
+    late = drive.wheels.t > 120.0
+    keep = ~late | (drive.wheels.t > 124.0)
+    t = (drive.wheels.t - 4.0 * late)[keep] - 50.0
+    findings = {f.kind: f for f in examine(replace(drive, wheels=Series(t, drive.wheels.values[keep])))}
+    assert set(findings) == {"clock_jump", "clock_offset"}
+    assert findings["clock_jump"].part == "wheels"
+    assert_allclose(findings["clock_jump"].amount, -4.0, atol=0.3)
+    assert_allclose(np.mean(findings["clock_jump"].where), 70.0, atol=5.0)
+    assert_allclose(findings["clock_offset"].amount, -50.0, atol=0.5)
 
 
 @pytest.mark.parametrize("size", [4.0, 1e9])
@@ -287,6 +310,44 @@ def test_clipped_readings_are_found(drive: Drive) -> None:
     finding = the("saturated", wheels(drive, np.clip(drive.wheels.values, -0.35, 0.35)))
     assert finding.part == "wheels"
     assert_allclose(finding.amount, 0.35)
+
+
+def test_driving_backwards_is_no_fault_and_hides_none(drive: Drive) -> None:
+    assert drive.pose is not None
+    back = pose(wheels(drive, -drive.wheels.values[:, ::-1]), drive.pose.values + np.array([0.0, 0.0, np.pi]))
+    assert examine(back) == ()
+    for d in (drive, back):  # coarse steps are flat anywhere: only the reference tells the limit
+        coarse = np.round(d.wheels.values, 2)
+        kinds = {f.kind for f in examine(wheels(d, np.clip(coarse, -0.3, 0.3)))}
+        assert kinds == {"saturated", "quantised_wheels"}
+        assert {f.kind for f in examine(wheels(d, coarse))} == {"quantised_wheels"}
+
+
+def test_the_bias_of_a_gyro_on_a_straight_is_no_turn() -> None:
+    rng = np.random.default_rng(0)
+    t = 0.02 * np.arange(6000)
+    speed = 0.4 + 0.1 * np.sin(0.3 * t)
+    rims = Series(t, speed[:, None] + 0.004 * rng.normal(size=(6000, 2)), "wheels")
+    rate = 0.03 * (speed - 0.3) + 0.004 * rng.normal(size=6000)
+    findings = examine(Drive("straight", VEHICLE, rims, gyro=Series(t, rate, "gyro")))
+    assert [f.kind for f in findings] == ["straight_only"]
+
+
+def test_a_robot_that_is_stuck_for_a_while_hides_no_fault(drive: Drive) -> None:
+    stuck = (drive.wheels.t > 60.0) & (drive.wheels.t < 140.0)
+    alone = replace(drive, pose=None)
+    assert drive.gyro is not None
+    still = gyro(alone, np.where((drive.gyro.t > 59.0) & (drive.gyro.t < 141.0), 0.0, drive.gyro.values[:, 0]))
+    spun = np.where(stuck[:, None], [0.6, -0.6] + 0.01 * drive.wheels.values, drive.wheels.values)
+    assert {f.kind for f in examine(wheels(still, spun[:, ::-1]))} == {"turn_sign"}
+
+
+def test_the_effective_width_is_the_same_with_a_side_negated(drive: Drive) -> None:
+    alone = replace(drive, pose=None)
+    for values in (drive.wheels.values, drive.wheels.values * [-1.0, 1.0]):
+        pair = gather(wheels(alone, values)).by_gyro
+        assert pair is not None
+        assert_allclose(widths(alone.vehicle, pair), (0.5624 / 0.4 / 0.916,) * 2, rtol=0.1)  # the truth of the sample
 
 
 def test_wheels_that_are_commands_are_found(drive: Drive) -> None:
@@ -473,10 +534,11 @@ def drives(draw: st.DrawFn) -> Drive:
     return Drive("any", VEHICLE, rolled, segments=segments, **parts)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 @given(drives())
 def test_whatever_was_recorded_can_be_examined_and_fixed(anything: Drive) -> None:
     findings = examine(anything)
+    json.dumps([asdict(finding) for finding in findings])
     cured, done = fix(anything, findings)
     assert (cured is anything) == (not done)
 
@@ -497,7 +559,7 @@ def test_faults_put_into_real_drives_are_found() -> None:
     lab = study()
     names = ("husky-gyro-flooring", "husky-mocap", "warthog-asphalt")
     real = [lab.read_folder(DATA / name) for name in names]
-    some = [v for fault in lab.FAULTS for d in real for v in lab.variants(fault, d)[::4]]
+    some = [v for fault in lab.FAULTS for d in real for v in lab.variants(fault, d)[::5]]
     missed = [v.label for v in some if not lab.found_in(v, examine(v.drive))]
-    assert len(some) > 80
+    assert len(some) > 70
     assert len(missed) <= 0.05 * len(some), missed

@@ -81,7 +81,7 @@ def align(a: Signal, b: Signal, hypotheses: tuple[Hypothesis, ...], reach: float
     if center is None:
         return []
     size = _block_size(a)
-    most = 0.5 * min(MOST_SCORES * size / len(a.values), len(a.values))
+    most = 0.5 * min(MOST_SCORES * size / len(a.values), max(len(a.values), len(b.values)))
     around = int(min(reach / a.step, most))
     lags = np.asarray(center + a.step * np.arange(-around, around + 1))
     products = {pair: _products(a, b, pair, size, center, around) for pair in pairs}

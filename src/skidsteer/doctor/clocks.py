@@ -11,6 +11,8 @@ from skidsteer.doctor.findings import Finding
 from skidsteer.doctor.pauses import parts_of
 from skidsteer.doctor.signs import confidence
 
+Unfold = Callable[[float], float]
+
 LOST = 20.0  # [s] a jump whose moment is less certain is not cured: too much would have to be dropped
 
 
@@ -31,7 +33,7 @@ def clock_findings(evidence: Evidence) -> list[Finding]:
     found = []
     for kinds in ({"clock_drift", "clock_jump"}, {"clock_offset"}):
         some = {parts: [event for event in all_ if event.kind in kinds] for parts, all_ in events.items()}
-        found += [FINDINGS[event.kind](part, other, event) for part, other, event in _blamed(some)]
+        found += [FINDINGS[event.kind](part, other, event, unfold) for part, other, event in _blamed(some)]
     return found
 
 
@@ -60,7 +62,7 @@ def _seen_from(part: str, parts: tuple[str, str], event: Event) -> tuple[str, st
     return parts[1], parts[0], replace(event, start=start, end=end, amount=-event.amount)
 
 
-def _offset_finding(part: str, other: str, event: Event) -> Finding:
+def _offset_finding(part: str, other: str, event: Event, unfold: Unfold) -> Finding:
     size, side = abs(event.amount), "late" if event.amount > 0 else "early"
     return Finding(
         "clock_offset",
@@ -77,7 +79,7 @@ def _offset_finding(part: str, other: str, event: Event) -> Finding:
     )
 
 
-def _drift_finding(part: str, other: str, event: Event) -> Finding:
+def _drift_finding(part: str, other: str, event: Event, unfold: Unfold) -> Finding:
     return Finding(
         "clock_drift",
         f"The clock of the {part} gains {1e3 * event.amount:+.2f} ms each second on that of the {other},"
@@ -93,13 +95,13 @@ def _drift_finding(part: str, other: str, event: Event) -> Finding:
     )
 
 
-def _jump_finding(part: str, other: str, event: Event) -> Finding:
+def _jump_finding(part: str, other: str, event: Event, unfold: Unfold) -> Finding:
     way = "ahead" if event.amount > 0 else "back"
-    middle, half = 0.5 * (event.start + event.end), 0.5 * (event.end - event.start)
+    start, end = unfold(event.start), unfold(event.end)
+    when = f"{start:.1f} s" if event.paused else f"{0.5 * (start + end):.1f} s give or take {0.5 * (end - start):.1f} s"
     return Finding(
         "clock_jump",
-        f"The clock of the {part} jumps {way} by {abs(event.amount):.4g} s against that of the {other}, at"
-        f" {middle:.1f} s give or take {half:.1f} s.",
+        f"The clock of the {part} jumps {way} by {abs(event.amount):.4g} s against that of the {other}, at {when}.",
         ((event.start, event.end),),
         confidence(event.gain),
         "error",
@@ -112,7 +114,7 @@ def _jump_finding(part: str, other: str, event: Event) -> Finding:
     )
 
 
-FINDINGS: dict[str, Callable[[str, str, Event], Finding]] = {
+FINDINGS: dict[str, Callable[[str, str, Event, Unfold], Finding]] = {
     "clock_drift": _drift_finding,
     "clock_jump": _jump_finding,
     "clock_offset": _offset_finding,

@@ -42,13 +42,13 @@ def fix(drive: Drive, findings: Sequence[Finding]) -> tuple[Drive, tuple[str, ..
         cure, text = CURES[finding.kind]
         cured = cure(drive, finding)
         if cured is not drive:
-            done.append(text.format(part=finding.part, amount=finding.amount, at=_middle(finding)))
+            done.append(text.format(part=finding.part, amount=finding.amount, at=_start(finding)))
         drive = cured
     return drive, tuple(done)
 
 
-def _middle(finding: Finding) -> float:
-    return 0.5 * sum(finding.where[0]) if finding.where else 0.0
+def _start(finding: Finding) -> float:
+    return finding.where[0][0] if finding.where else 0.0
 
 
 def _with(drive: Drive, part: str, t: FloatArray, values: FloatArray) -> Drive:
@@ -132,7 +132,7 @@ def _drop_repeated(drive: Drive, finding: Finding) -> Drive:
 CURES: dict[str, tuple[Cure, str]] = {
     "frozen_reference": (_drop_frozen, "dropped repeated samples of the {part}"),
     "held_samples": (_drop_repeated, "dropped repeated samples of the {part}"),
-    "clock_jump": (_unjump, "took {amount:.4g} s off the stamps of the {part} after the jump at {at:.1f} s"),
+    "clock_jump": (_unjump, "took {amount:.10g} s off the stamps of the {part} after the jump at {at:.1f} s"),
     "clock_drift": (_stretch, "took a drift of {amount:.6f} s/s off the stamps of the {part}"),
     "clock_offset": (_shift, "took {amount:.3f} s off the stamps of the {part}"),
     "left_negated": (_scale(-1.0, 1.0), "negated v_left"),

@@ -103,7 +103,7 @@ def _no_time_went_by(evidence: Evidence, start: float, end: float) -> bool:
     if not promised > MOVED[SPEED]:  # NaN where it did not drive on for long enough
         return False
     turned = abs(float(wrap(after - before)[2])) if drive.pose is not None else 0.0
-    return way < min(STOOD * promised, speed * AROUND + MOVED[SPEED]) and turned < SAME_HEADING
+    return way < min(STOOD * promised, 2.0 * speed * AROUND + MOVED[SPEED]) and turned < SAME_HEADING
 
 
 def _pause_near(series: Series, start: float, end: float) -> Interval | None:

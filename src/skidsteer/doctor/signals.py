@@ -19,6 +19,7 @@ BoolArray = NDArray[np.bool_]
 STEP = 0.1  # [s] of the grids
 WIDTH = 0.5  # [s] over which rates are taken
 BREAK = 1.0  # [s] without a sample: nothing is known of the motion between
+LEAP, FASTEST = 0.5, 20.0  # [m], [m/s] no robot moves on like that
 LEAST_TURN = np.radians(2.0)  # [rad/s] slower turns may be noise, bias, or a heading being kept
 MOST = 200_000  # grid points: bounds time and memory for drives of many hours
 OUTLIER = 4.0  # rates beyond this many times the typical one are cut: a jump of the reference is no motion
@@ -89,6 +90,14 @@ def breaks(t: FloatArray, drive: Drive) -> BoolArray:
     return np.asarray((np.diff(t) > max(BREAK, 5.0 * sampling_period(t))) | starts_anew(t, drive))
 
 
+def leaps(t: FloatArray, steps: FloatArray) -> BoolArray:
+    """Whether steps (n - 1, 2) of a reference are no motion (n - 1,): farther and faster than a robot drives."""
+    way = np.hypot(*steps.T)
+    leap = (way > LEAP) & (way > FASTEST * np.diff(t))
+    # Where most of them are, the unit is wrong rather than the reference.
+    return np.asarray(leap if leap.sum() < 0.5 * (way > 1e-3).sum() else np.zeros(len(way), dtype=bool))
+
+
 def total_of_wheels(drive: Drive) -> Total:
     """Running total of both sides' mean and of right minus left [m], each speed held to the next sample."""
     left, right = drive.wheels.values.T
@@ -107,7 +116,7 @@ def total_of_poses(pose: Series, drive: Drive, full_turn: float = 2.0 * np.pi) -
     heading = yaw[:-1] + 0.5 * turned
     step = np.diff(pose.values[:, :2], axis=0)
     forward = step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)
-    return _total(pose.t, np.stack([forward, turned], axis=-1), breaks(pose.t, drive))
+    return _total(pose.t, np.stack([forward, turned], axis=-1), breaks(pose.t, drive) | leaps(pose.t, step))
 
 
 def _held(t: FloatArray, rates: FloatArray, drive: Drive) -> Total:
@@ -136,7 +145,7 @@ def sampled(total: Total, step: float) -> Signal:
 def signal_of_positions(position: Series, drive: Drive, step: float) -> Signal:
     """Unsigned speed [m/s] and rate of the course [rad/s], the latter only where it moves, of reference positions."""
     steps = np.diff(position.values, axis=0)
-    total = _total(position.t, steps, breaks(position.t, drive))
+    total = _total(position.t, steps, breaks(position.t, drive) | leaps(position.t, steps))
     grid, width = _grid(position.t, step), _width(step)
     velocity = total.rates(grid, width)
     before, after = total.rates(grid - 0.5 * width, width), total.rates(grid + 0.5 * width, width)

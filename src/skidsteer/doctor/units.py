@@ -92,10 +92,13 @@ def _middle_ratio(x: FloatArray, y: FloatArray) -> float:
 def _wheels_against_reference(vehicle: Vehicle, pair: Pair) -> list[Finding]:
     # With one side negated the difference of the columns, twice the speed, stands for the speed.
     crossed = pair.best.hypothesis.links[SPEED].b % 2 == TURN
-    found = ratios(*pair.samples(SPEED)) * (2.0 if crossed else 1.0)
+    twice = 2.0 if crossed else 1.0
+    found = ratios(*pair.samples(SPEED)) * twice
     if len(found) < FEW:
         return []
-    middle, grip = np.median(found), np.quantile(found, 0.8)
+    middle, grip = float(np.median(found)), float(np.quantile(found, 0.8))
+    if not 0.5 < middle / (twice * abs(pair.best.scales[SPEED])) < 2.0:
+        return []  # moments at rest or misaligned, no unit
     if SLIP[0] <= middle <= SLIP[1] or (middle < SLIP[0] and grip > BEST_GRIP):
         return []
     return [_wheel_finding(_unit(vehicle, middle), f"the reference moves {middle:.3g} m", 0.98)]
@@ -114,7 +117,7 @@ def _wheel_finding(unit: _Unit, seen: str, sure: float) -> Finding:
         else "Check wheel radius, gear ratio and unit of the wheel speeds (and the unit of the reference).",
         unit.fixable and sure >= 0.9,
         "wheels",
-        unit.factor,
+        float(unit.factor),
     )
 
 
@@ -148,7 +151,7 @@ def _without_reference(evidence: Evidence) -> list[Finding]:
     vehicle, pair = evidence.drive.vehicle, evidence.by_gyro
     if pair is None or not pair.turns:
         return _too_fast(evidence)
-    narrow, width = _widths(vehicle, pair)
+    narrow, width = widths(vehicle, pair)
     if narrow < WIDTHS[0] and WIDTHS[0] < narrow * DEGREES < UNIT[1] * WIDTHS[1]:
         return [_gyro_finding(USUAL_WIDTH / narrow, "the wheels explain", 0.9)]
     if width > WIDTHS[1]:
@@ -158,7 +161,7 @@ def _without_reference(evidence: Evidence) -> list[Finding]:
     return []
 
 
-def _widths(vehicle: Vehicle, pair: Pair) -> tuple[float, float]:
+def widths(vehicle: Vehicle, pair: Pair) -> tuple[float, float]:
     """Effective over nominal track width by all turns, and by the fifth of them with the best grip."""
     crossed = pair.best.hypothesis.links[0].b == SPEED
     found = ratios(*pair.samples(0)) * (0.5 if crossed else 1.0) * vehicle.track_width
