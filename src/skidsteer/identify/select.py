@@ -14,6 +14,7 @@ from skidsteer.models import MODELS
 from skidsteer.se2 import FloatArray
 
 LEVEL = 0.05  # one-sided, for translation and yaw each
+NEGLIGIBLE = 0.03  # a share of error not worth further parameters, however significant
 MARGIN = 0.2  # an error larger by this share counts as worse even where the drive is too short to prove it
 
 
@@ -38,7 +39,7 @@ class Comparison:
     def worse(self) -> bool:
         """Worse in translation or in yaw, significantly or by more than ``MARGIN``."""
         told = [e for e in (self.translation, self.yaw) if e is not None]
-        return any(e.p_worse < LEVEL or e.share > MARGIN for e in told)
+        return any((e.p_worse < LEVEL and e.share > NEGLIGIBLE) or e.share > MARGIN for e in told)
 
     def __str__(self) -> str:
         pairs = (("translation", self.translation), ("yaw", self.yaw))
