@@ -26,7 +26,8 @@ VEHICLE = {"name": "benchmark", "track_width": 0.6, "wheel_radius": 0.15}
 START = 1_700_000_000 * 10**9
 KINDS = ("rosbag1", "rosbag2 sqlite3", "MCAP", "MCAP zstd")
 IMAGE = (1280, 720, 3)
-REPEATS = 3
+REPEATS = 2
+ROUNDS = 4
 
 
 def main() -> None:
@@ -118,8 +119,9 @@ def speed_table(folder: Path, messages: int) -> str:
     ]
     for kind in KINDS:
         path = _write(folder / kind.replace(" ", "-"), kind, messages, 0)
-        raw, library, ours = (_measure(what, path) for what in ("raw", "library", "ours"))
-        rates = [result["messages"] / result["seconds"] for result in (raw, library, ours)]
+        # In turns, and the best of each: what else the machine does hits all of them.
+        results = [[_measure(what, path) for what in ("raw", "library", "ours")] for _ in range(ROUNDS)]
+        rates = [max(one["messages"] / one["seconds"] for one in of_kind) for of_kind in zip(*results, strict=True)]
         shown = " | ".join(f"{rate / 1000:.0f} k/s" for rate in rates)
         lines.append(f"| {kind} | {shown} | {rates[2] / rates[1]:.1f} |")
     return "\n".join(lines)
