@@ -9,9 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bag_files import STORES, build
+from skidsteer.errors import DataError
 from skidsteer.io.layout import Decoder, LayoutError, fill, read_layout
-from skidsteer.io.messages import TABLES, standard_definitions
-from skidsteer.io.raw import RawMessages, from_list, join
+from skidsteer.io.messages import TABLES, definitions_of, standard_definitions
+from skidsteer.io.raw import BagTopic, Definition, RawMessages, from_list, join
 
 TYPES = sorted(name for name in TABLES if not name.startswith("tf/"))
 ENCODINGS = ("cdr-little", "cdr-big", "ros1")
@@ -195,3 +196,24 @@ def test_fill_is_the_inverse_of_column() -> None:
 def test_what_cannot_be_walked_says_why(message: bytes, definitions: Any, encoding: str, what: str) -> None:
     with pytest.raises(LayoutError, match=what):
         read_layout(message, definitions, "t", encoding)
+
+
+IDL = """
+module my_msgs { module msg {
+  struct Ticks { boolean flag; int64 count; sequence<int16> more; };
+}; };
+"""
+
+
+@pytest.mark.parametrize("text", [IDL, "=" * 80 + "\nIDL: my_msgs/msg/Ticks\n" + IDL])
+def test_definitions_in_idl_are_read(text: str) -> None:
+    definitions = definitions_of(BagTopic("/ticks", "my_msgs/msg/Ticks", 1, "cdr", Definition("idl", text)))
+    message = b"\0\1\0\0" + b"\1" + bytes(7) + (7).to_bytes(8, "little") + b"\1\0\0\0\3\0"
+    (block,) = Decoder(definitions, "my_msgs/msg/Ticks", "cdr").blocks(from_list([0], [message]))
+    assert block.column("count").tolist() == [7]
+    assert block.column("more").tolist() == [[3]]
+
+
+def test_definition_that_is_none_says_so() -> None:
+    with pytest.raises(DataError, match=r"the definition of a/msg/B in the bag cannot be parsed"):
+        definitions_of(BagTopic("/b", "a/msg/B", 1, "cdr", Definition("idl", "module {")))
