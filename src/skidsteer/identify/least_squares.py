@@ -164,8 +164,8 @@ def _covariance(H: FloatArray, scores: FloatArray, prior: FloatArray) -> tuple[F
     chi-squares whose effective degrees of freedom follow from how evenly the blocks weigh. Above its 99.9 % quantile
     errors last longer than the model of the noise thinks.
     """
-    p = len(H)
-    bread: FloatArray = np.asarray(np.linalg.inv(H + np.diag(1.0 / prior**2)))
+    p, known = len(H), np.diag(1.0 / prior**2)
+    bread: FloatArray = np.asarray(np.linalg.inv(H + known))
     blocks = int((np.abs(scores).sum(axis=1) > 0).sum())
     if p == 0 or blocks < 2 * p + 4:
         return bread, 1.0
@@ -175,4 +175,4 @@ def _covariance(H: FloatArray, scores: FloatArray, prior: FloatArray) -> tuple[F
     effective = leverage.sum() ** 2 / (leverage**2).sum() * p
     if ratio <= chi2.ppf(0.999, effective) / effective:
         return bread, 1.0
-    return np.asarray(bread @ meat @ bread), ratio
+    return np.asarray(bread @ (meat + known) @ bread), ratio  # what nothing tells stays as uncertain as before
