@@ -14,7 +14,7 @@ SMALL = 0.3  # [rad] half angle below which the series of sine and cosine are ex
 
 
 @njit(cache=True, inline="always")
-def _half_rotation(h: float) -> tuple[float, float, float, float]:
+def half_rotation(h: float) -> tuple[float, float, float, float]:
     """Cos(h), sin(h), sinc(h) = sin(h)/h and its derivative, without a library call for the small angles of a step."""
     h2 = h * h
     if h2 < SMALL * SMALL:
@@ -34,7 +34,7 @@ def rollout(increments: FloatArray, offsets: np.ndarray) -> FloatArray:
         x = y = yaw = 0.0
         c, s = 1.0, 0.0
         for i in range(offsets[w], offsets[w + 1]):
-            ch, sh, sinc, _ = _half_rotation(0.5 * increments[i, 2])
+            ch, sh, sinc, _ = half_rotation(0.5 * increments[i, 2])
             cm, sm = c * ch - s * sh, s * ch + c * sh
             dx, dy = sinc * increments[i, 0], sinc * increments[i, 1]
             x += cm * dx - sm * dy
@@ -57,7 +57,7 @@ def rollout_sensitivities(
         c, s = 1.0, 0.0
         J = jacobian[w]
         for i in range(offsets[w], offsets[w + 1]):
-            ch, sh, sinc, slope = _half_rotation(0.5 * increments[i, 2])
+            ch, sh, sinc, slope = half_rotation(0.5 * increments[i, 2])
             cm, sm = c * ch - s * sh, s * ch + c * sh
             ux, uy = cm * increments[i, 0] - sm * increments[i, 1], sm * increments[i, 0] + cm * increments[i, 1]
             for m in range(p):
@@ -88,7 +88,7 @@ def _one_window(
     c, s = 1.0, 0.0
     for i in range(low, high):
         dl, dr = distance[i, 0], distance[i, 1]
-        ch, sh, sinc, slope = _half_rotation(0.5 * (A[2, 0] * dl + A[2, 1] * dr))
+        ch, sh, sinc, slope = half_rotation(0.5 * (A[2, 0] * dl + A[2, 1] * dr))
         cm, sm = c * ch - s * sh, s * ch + c * sh
         c, s = cm * ch - sm * sh, sm * ch + cm * sh
         cs, ss = sinc * cm, sinc * sm
