@@ -30,6 +30,59 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
+class MotionSigma:
+    """How well what drives tell predicts one motion, and how well it should."""
+
+    motion: str
+    sigma: float
+    tolerance: float
+    unit: str
+
+    @property
+    def rounded(self) -> str:
+        """Sigma with its unit, two digits."""
+        return f"{float(f'{self.sigma:.2g}'):g} {self.unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class WeakDirection:
+    """Parameters that can change together, by ``change``: one sigma of what the drives leave open."""
+
+    known: MotionSigma  # the motion that suffers most
+    change: Mapping[str, float]  # of each parameter that takes part, in its unit
+
+
+UNKNOWN = 5.0  # tolerances, above which a motion is not known at all
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """Verdict on drives: what they determine, which combinations they leave open, and what to drive next."""
+
+    model: str  # that the drives are judged by: at least as free as the one that was chosen
+    determined: Mapping[str, float]  # sigma of each entry that is known much better than before the drives
+    undetermined: Mapping[str, float]  # of the others, but those that move nothing
+    motions: tuple[MotionSigma, ...]  # that the model predicts
+    weak: tuple[WeakDirection, ...]  # the worst first; empty: the drives determine what matters
+    advice: tuple[str, ...]  # what to drive next
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is wanting and what to drive next, in words; none of drives that determine what matters."""
+        return (*(self._missing(direction) for direction in self.weak), *self.advice)
+
+    def _missing(self, direction: WeakDirection) -> str:
+        known, names = direction.known, list(direction.change)
+        motion = f"{known.motion} is known to {known.rounded} only"
+        if known.sigma > UNKNOWN * known.tolerance:
+            motion = f"{known.motion} is not known"
+        if len(names) == 1:
+            return f"{motion}: {names[0]} of the {self.model} model is open"
+        together = f"{', '.join(names[:-1])} and {names[-1]}"
+        return f"{motion}: {together} of the {self.model} model can change together and the drive would look the same"
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOut:
     """Errors of one model on windows that its fit did not see."""
 
@@ -92,6 +145,7 @@ class Calibration:
     warnings: tuple[str, ...] = ()
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
     regions: Regions | None = None  # of end poses after ``window`` seconds; None: too few held-out windows
+    observability: Observability | None = None  # None: not judged
 
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=float)

@@ -197,6 +197,7 @@ def check(
     from skidsteer.doctor import examine
     from skidsteer.doctor import fix as cure
     from skidsteer.errors import RequestError
+    from skidsteer.identify.calibrate import judge_drive
     from skidsteer.io.folder import write_folder
 
     if fix != (out is not None):
@@ -204,14 +205,15 @@ def check(
     topics = source.topics(drive)
     loaded = source.load_one(drive)
     findings = examine(loaded)
+    verdict = judge_drive(loaded, findings)
     cures: tuple[str, ...] = ()
     if out is not None:
         cured, cures = cure(loaded, findings)
         write_folder(cured, out)
     if json:
-        typer.echo(documents.to_json(documents.check_document(loaded, findings, topics, cures)))
+        typer.echo(documents.to_json(documents.check_document(loaded, findings, topics, cures, verdict)))
     else:
-        console.show_check(loaded, findings, topics, cures)
+        console.show_check(loaded, findings, topics, cures, verdict)
 
 
 @app.command()

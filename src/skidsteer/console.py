@@ -12,8 +12,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from skidsteer.calibration import Calibration, Estimate, HeldOut
-from skidsteer.doctor import Finding
+from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
+from skidsteer.doctor import EXCITATION, Finding
 from skidsteer.drive import Drive
 from skidsteer.evaluate import Evaluation
 from skidsteer.identify.calibrate import Progress as Report
@@ -145,8 +145,14 @@ def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> No
 COLOURS = {"error": "red", "warning": "yellow", "info": "blue"}
 
 
-def show_check(drive: Drive, findings: Sequence[Finding], topics: BagContents | None, cures: Sequence[str]) -> None:
-    """What a bag offers, and what is wrong with the drive."""
+def show_check(
+    drive: Drive,
+    findings: Sequence[Finding],
+    topics: BagContents | None,
+    cures: Sequence[str],
+    verdict: Observability | str,
+) -> None:
+    """What a bag offers, what is wrong with the drive, and what it can tell of the robot."""
     if topics is not None:
         table = Table("topic", "type", "messages", "could serve as", "used as", box=None, pad_edge=False)
         for t in topics.topics:
@@ -156,7 +162,8 @@ def show_check(drive: Drive, findings: Sequence[Finding], topics: BagContents | 
     has = ", ".join(f"{name} {len(series)}" for name, series in parts.items() if series is not None)
     start, end = drive.span
     OUT.print(f"[bold]{escape(drive.name)}[/bold]: {end - start:.1f} s, wheels {len(drive.wheels)} samples, {has}")
-    for f in findings:
+    wanting = not isinstance(verdict, str) and bool(verdict.weak)  # says more than the findings about excitation
+    for f in (f for f in findings if not (wanting and f.kind in EXCITATION)):
         where = "" if not f.where else f" ({_times(f.where)})"
         OUT.print(f"[{COLOURS[f.severity]}]{f.severity}[/] {f.kind}, {100 * f.confidence:.0f} % sure{where}")
         OUT.print(f"  {escape(f.what)} {escape(f.effect)}")
@@ -165,6 +172,19 @@ def show_check(drive: Drive, findings: Sequence[Finding], topics: BagContents | 
         OUT.print(f"[green]done[/] {escape(line)}")
     if not findings:
         OUT.print("Nothing found wrong.")
+    _show_verdict(verdict)
+
+
+def _show_verdict(verdict: Observability | str) -> None:
+    if isinstance(verdict, str):
+        OUT.print(f"Not judged what it tells of the robot: {escape(verdict)}.")
+        return
+    known = ", ".join(f"{name} +- {sigma:.2g}" for name, sigma in verdict.determined.items())
+    OUT.print(f"Determined by this drive (model {verdict.model}): {escape(known or 'nothing')}.")
+    if verdict.undetermined:
+        OUT.print(f"[red]Not determined:[/] {escape(', '.join(verdict.undetermined))}.")
+    for sentence in verdict.sentences:
+        OUT.print(f"[yellow]Note:[/yellow] {escape(sentence)}.")
 
 
 def _times(where: Sequence[tuple[float, float]]) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from skidsteer.calibration import Calibration, Estimate, HeldOut
+from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import Finding
 from skidsteer.drive import Drive
 from skidsteer.evaluate import Evaluation
@@ -30,6 +30,7 @@ def calibration_document(calibration: Calibration) -> Document:
         "derived": {"effective_track_width": _estimate(width)} if width else {},
         "noise": asdict(calibration.noise),
         "regions": None if calibration.regions is None else asdict(calibration.regions),
+        "observability": None if calibration.observability is None else asdict(calibration.observability),
         "method": calibration.method,
         "selected_because": calibration.selected_because,
         "warnings": list(calibration.warnings),
@@ -60,13 +61,19 @@ def comparison_document(held_out: dict[str, HeldOut], selection: Selection) -> D
 
 
 def check_document(
-    drive: Drive, findings: Sequence[Finding], topics: BagContents | None, cures: Sequence[str]
+    drive: Drive,
+    findings: Sequence[Finding],
+    topics: BagContents | None,
+    cures: Sequence[str],
+    verdict: Observability | str,
 ) -> Document:
     """What ``check --json`` prints."""
     return {
         "drive": drive.name,
         "findings": [asdict(f) for f in findings],
         "cures": list(cures),
+        "observability": None if isinstance(verdict, str) else asdict(verdict),
+        "not_judged_because": verdict if isinstance(verdict, str) else None,
         "topics": [] if topics is None else [asdict(t) for t in topics.topics],
         "notes": [] if topics is None else list(topics.notes),
     }

@@ -6,6 +6,6 @@ reference, gyro) or a sensor with what it can physically be; what a robot, its s
 
 from skidsteer.doctor.cures import fix
 from skidsteer.doctor.examination import examine
-from skidsteer.doctor.findings import KINDS, SEVERITIES, Finding
+from skidsteer.doctor.findings import EXCITATION, KINDS, SEVERITIES, Finding
 
-__all__ = ["KINDS", "SEVERITIES", "Finding", "examine", "fix"]
+__all__ = ["EXCITATION", "KINDS", "SEVERITIES", "Finding", "examine", "fix"]

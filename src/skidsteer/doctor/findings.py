@@ -36,6 +36,7 @@ KINDS: dict[str, str] = {
     "commanded_wheels": "wheel speeds are commands, not measurements",
 }
 
+EXCITATION = ("standing_still", "little_turning", "straight_only", "circle_only")  # kinds about how it was driven
 SEVERITIES = ("info", "warning", "error")
 
 

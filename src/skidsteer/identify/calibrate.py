@@ -10,13 +10,14 @@ from typing import Literal, cast
 
 import numpy as np
 
-from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, Provenance
-from skidsteer.doctor import examine, fix
+from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, Observability, Provenance
+from skidsteer.doctor import EXCITATION, Finding, examine, fix
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
 from skidsteer.identify.holdout import HeldOutErrors, held_out
 from skidsteer.identify.least_squares import Fit, FitOptions, fit_supported
+from skidsteer.identify.observability import is_determined, observe, observe_drive
 from skidsteer.identify.select import Selection, select
 from skidsteer.identify.spacing import choose_spacing
 from skidsteer.identify.unknowns import UNITS
@@ -28,7 +29,6 @@ Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
 SYMMETRIC = ("differential", "multiplier", "icr_symmetric", "curvature")  # about the origin
 YAW_ONLY = ("differential", "multiplier")  # all that a gyro alone can tell apart
-DETERMINED = 0.25  # a sigma above this share of what was known before the drive: not determined
 LEAST_MOVE = 0.5  # [m] rolled in all, below which there is nothing to calibrate
 Progress = Callable[[str, int, int], None]  # what is being done, steps done, steps in all
 
@@ -87,6 +87,7 @@ def calibrate(
     _tell(progress, f"fitting {chosen}", len(names), len(names) + 1)
     start = MODELS[chosen].nominal(drives[0].vehicle)
     found = fit_supported(start, drives, windows, options.fit)
+    verdict = observe(found, drives, windows, options.fit)
     notes = []
     if options.method == "genetic":
         found, note = genetic_fit(found, drives, windows, GeneticOptions(seed=options.seed))
@@ -102,24 +103,30 @@ def calibrate(
         provenance=_provenance(drives, found, options),
         method=options.method,
         selected_because=because,
-        warnings=(*complaints, *_warnings(found, judged, chosen, drives), *notes),
+        warnings=(*_unsaid(complaints, verdict), *_warnings(found, verdict, judged, chosen, drives), *notes),
         held_out={name: HeldOut.of(errors.errors) for name, errors in judged.items()},
         regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
+        observability=verdict,
     )
 
 
-def _examined(drives: list[Drive], cure: bool) -> tuple[list[Drive], list[str]]:
-    """The drives, cured if asked for, and what the doctor says of them or did to them."""
+def _examined(drives: list[Drive], cure: bool) -> tuple[list[Drive], list[tuple[str, str]]]:
+    """The drives, cured if asked for, and what the doctor says of them or did to them: kind of finding, sentence."""
     out, said = [], []
     for drive in drives:
         findings = [f for f in examine(drive) if f.severity != "info"]
         if cure:
             drive, done = fix(drive, findings)
-            said += [f"{drive.name}: cured: {line}" for line in done]
+            said += [("", f"{drive.name}: cured: {line}") for line in done]
             findings = [f for f in findings if not f.fixable]
-        said += [f"{drive.name}: {f.what} {f.effect} {f.cure}".rstrip(".") for f in findings]
+        said += [(f.kind, f"{drive.name}: {f.what} {f.effect} {f.cure}".rstrip(".")) for f in findings]
         out.append(drive)
     return out, said
+
+
+def _unsaid(complaints: list[tuple[str, str]], verdict: Observability) -> list[str]:
+    """The doctor's sentences without those that the verdict says again, with figures."""
+    return [said for kind, said in complaints if not (verdict.weak and kind in EXCITATION)]
 
 
 def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) -> Mount | None:
@@ -184,6 +191,17 @@ def _tell(progress: Progress | None, what: str, done: int, total: int) -> None:
         progress(what, done, total)
 
 
+def judge_drive(drive: Drive, findings: Sequence[Finding]) -> Observability | str:
+    """What a drive tells of the robot, or why that cannot be said."""
+    if any(f.severity == "error" and f.kind not in EXCITATION for f in findings):
+        return "cure the errors first"
+    try:
+        _usable(drive)
+    except DataError as refusal:
+        return str(refusal).removeprefix(f"{drive.name}: ")
+    return observe_drive(drive)
+
+
 def _usable(drive: Drive) -> None:
     """Refuse a drive that cannot be calibrated from."""
     reference = drive.reference or drive.gyro
@@ -222,27 +240,24 @@ def _choose(options: CalibrateOptions, judged: Mapping[str, HeldOutErrors]) -> t
 
 def _estimates(found: Fit) -> dict[str, Estimate]:
     units = {p.name: p.unit for p in found.model.PARAMETERS}
-    estimates = {}
+    estimates, determined = {}, is_determined(found)
     for i in np.flatnonzero(found.told):
         name = found.names[i]
         value, sigma = found.named(name)
         estimates[name] = Estimate(
-            value, sigma, units.get(name) or UNITS.get(name.split(":")[0], ""), _determined(found, i)
+            value, sigma, units.get(name) or UNITS.get(name.split(":")[0], ""), bool(determined[i])
         )
     return estimates
 
 
-def _determined(found: Fit, i: np.intp | int) -> bool:
-    """Given, or known much better than before the drive; what is assumed of a gyro is knowledge, not ignorance."""
-    assumed = found.names[i].startswith(("gyro_bias", "gyro_scale"))
-    return bool(assumed or not found.free[i] or found.covariance[i, i] < (DETERMINED * found.prior_sigma[i]) ** 2)
-
-
-def _warnings(found: Fit, judged: Mapping[str, HeldOutErrors], chosen: str, drives: Sequence[Drive]) -> tuple[str, ...]:
+def _warnings(
+    found: Fit, verdict: Observability, judged: Mapping[str, HeldOutErrors], chosen: str, drives: Sequence[Drive]
+) -> tuple[str, ...]:
     notes = []
-    weak = [name for i, name in enumerate(found.names) if found.told[i] and not _determined(found, i)]
-    if weak:
-        notes.append(f"not determined by this drive: {', '.join(weak)}; the values given are assumptions, see sigma")
+    open_ = [name for name in verdict.undetermined if name in found.names]
+    if open_:
+        notes.append(f"not determined by this drive: {', '.join(open_)}; the values given are assumptions, see sigma")
+    notes += verdict.sentences
     if not found.converged:
         notes.append("the fit did not converge; look at the log with `skidsteer check` before using the result")
     if found.inflated > 1.0:

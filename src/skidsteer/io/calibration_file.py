@@ -10,7 +10,16 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, Provenance
+from skidsteer.calibration import (
+    Calibration,
+    DriveRecord,
+    Estimate,
+    HeldOut,
+    MotionSigma,
+    Observability,
+    Provenance,
+    WeakDirection,
+)
 from skidsteer.errors import DataError
 from skidsteer.io.atomic import write_text
 from skidsteer.io.text_file import decode, read_bytes
@@ -76,6 +85,27 @@ class _Regions(_Strict):
     dof: float
 
 
+class _MotionSigma(_Strict):
+    motion: str
+    sigma: float
+    tolerance: float
+    unit: str
+
+
+class _WeakDirection(_Strict):
+    known: _MotionSigma
+    change: dict[str, float]
+
+
+class _Observability(_Strict):
+    model: str
+    determined: dict[str, float]
+    undetermined: dict[str, float]
+    motions: list[_MotionSigma]
+    weak: list[_WeakDirection]
+    advice: list[str]
+
+
 class _DriveRecord(_Strict):
     name: str
     source: str
@@ -106,6 +136,7 @@ class _File(_Strict):
     warnings: list[str]
     held_out: dict[str, _HeldOut]
     regions: _Regions | None = None
+    observability: _Observability | None = None
     provenance: _Provenance
 
 
@@ -138,6 +169,7 @@ def calibration_text(calibration: Calibration) -> str:
         "warnings": list(calibration.warnings),
         "held_out": {name: _without_none(asdict(h)) for name, h in calibration.held_out.items()},
         "regions": None if calibration.regions is None else asdict(calibration.regions),
+        "observability": None if calibration.observability is None else _plain(asdict(calibration.observability)),
         "provenance": {
             "software": provenance.software,
             "created": provenance.created,
@@ -146,6 +178,13 @@ def calibration_text(calibration: Calibration) -> str:
         },
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+
+
+def _plain(content: Any) -> Any:
+    """The same with lists for tuples, which YAML cannot tell."""
+    if isinstance(content, dict):
+        return {key: _plain(value) for key, value in content.items()}
+    return [_plain(value) for value in content] if isinstance(content, tuple) else content
 
 
 def _without_none(content: dict[str, Any]) -> dict[str, Any]:
@@ -213,6 +252,18 @@ def _calibration(file: _File) -> Calibration:
         warnings=tuple(file.warnings),
         held_out={name: _held_out(h) for name, h in file.held_out.items()},
         regions=None if file.regions is None else Regions(**file.regions.model_dump()),
+        observability=None if file.observability is None else _observability(file.observability),
+    )
+
+
+def _observability(file: _Observability) -> Observability:
+    return Observability(
+        model=file.model,
+        determined=file.determined,
+        undetermined=file.undetermined,
+        motions=tuple(MotionSigma(**m.model_dump()) for m in file.motions),
+        weak=tuple(WeakDirection(MotionSigma(**w.known.model_dump()), w.change) for w in file.weak),
+        advice=tuple(file.advice),
     )
 
 
