@@ -1,17 +1,25 @@
-"""A drive made by a model instead of a robot: wheel speeds in, a Drive with noisy, late sensors out. Simulation."""
+"""A drive made by a model instead of a robot: wheel speeds in, a Drive with noisy, late sensors out. Simulation.
+
+A plant tells how the robot moved, as a `Motion`; what its sensors record of it is the same for every plant.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from skidsteer.drive import Drive, Series
+from skidsteer.errors import RequestError
 from skidsteer.models import Model
 from skidsteer.noise import Noise
 from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.vehicle import Vehicle
-from skidsteer.windows import Timing, Windows, predict
+from skidsteer.windows import Mount, Timing, Windows, predict
+
+CENTRE = Mount()
+MARGIN = 0.05  # [s] from the ends of the wheels' log to the first and the last reference
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +32,58 @@ class Sensors:
     stamp_sigma: float = 0.0  # [s] scatter of the reference's stamps
     reference_delay: float = 0.0  # [s] the stamps of the reference are late by this
     encoder_step: float = 0.0  # [m] rolled for one count; 0: no quantisation
+    encoder_rate: float = 0.0  # [Hz] of the wheels' log; 0: as the plant tells them
+    mount: Mount = CENTRE  # of the reference's sensor; the drive holds its poses
+    lost_share: float = 0.0  # of the time that no reference comes
+    lost_duration: float = 2.0  # [s] mean of a stretch without
+    gyro_rate: float = 0.0  # [Hz]; 0: no gyro
+    gyro_sigma: float = 0.002  # [rad/s] each sample
+    gyro_bias: float = 0.0  # [rad/s]
+
+
+PLAIN = Sensors()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """How a plant moved: n times, in the frame where it began."""
+
+    t: FloatArray  # (n,) [s]
+    pose: FloatArray  # (n, 3) of base_link
+    twist: FloatArray  # (n, 3) of base_link, in its own frame
+    rims: FloatArray  # (n, 2) left and right [m/s]
+    power: FloatArray  # (n, 3) [W] mean over the step before: put in by the rims, lost by sliding, by rolling
+
+    def held_rims(self) -> Series:
+        """Mean rim speeds (n - 1, 2) of each step, stamped with its begin: what perfect encoders tell."""
+        return Series(self.t[:-1], 0.5 * (self.rims[:-1] + self.rims[1:]), "wheels")
+
+    def pose_at(self, t: FloatArray) -> FloatArray:
+        """Pose (k, 3) at times (k,) [s] between the first and the last."""
+        return np.column_stack([np.interp(t, self.t, column) for column in self.pose.T])
+
+
+def recorded(
+    name: str, vehicle: Vehicle, motion: Motion, sensors: Sensors, seed: int = 0, wheel_command: Series | None = None
+) -> Drive:
+    """What sensors record of a plant's motion.
+
+    Args:
+        name: of the drive.
+        vehicle: of the drive.
+        motion: of the plant.
+        sensors: noise, rate and delay of what is recorded.
+        seed: of the noise.
+        wheel_command: (n, 2) [m/s] what the plant was asked for.
+
+    Raises:
+        RequestError: the motion is shorter than two references.
+    """
+    rims = motion.held_rims()
+    t = _reference_times(rims, sensors)
+    rng = np.random.default_rng(seed)
+    truth = Series(t, motion.pose_at(t), "pose")
+    return _record(name, vehicle, rims, truth, lambda s: motion.pose_at(s)[:, 2], sensors, rng, seed, wheel_command)
 
 
 def kinematic_drive(
@@ -31,7 +91,7 @@ def kinematic_drive(
     vehicle: Vehicle,
     model: Model,
     rims: Series,
-    sensors: Sensors = Sensors(),
+    sensors: Sensors = PLAIN,
     lag: float = 0.0,
     motion_noise: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
@@ -52,28 +112,99 @@ def kinematic_drive(
         A drive with wheels and reference poses on the same clock, the reference late by its delay.
     """
     rng = np.random.default_rng(seed)
-    t = np.arange(rims.t[0] + 0.05, rims.t[-1] - 0.05, 1.0 / sensors.reference_rate)
-    windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
-    motion = predict(model, rims, windows, Timing(0.0, lag))
+    t = _reference_times(rims, sensors)
+    motion = _motions(model, rims, t[:-1], t[1:], lag)
     rolled = np.abs(rims.values).mean(axis=1)
     distance = np.diff(np.interp(t, rims.t, np.r_[0.0, np.cumsum(rolled[:-1] * np.diff(rims.t))]))
     spread = np.sqrt(distance)[:, None] * [motion_noise[0], motion_noise[0], motion_noise[1]]
     truth = chain(compose(motion, exp(spread * rng.standard_normal(motion.shape))))
-    stamped = t + sensors.reference_delay + sensors.stamp_sigma * rng.standard_normal(len(t))
+    strayed = truth[:, 2] - np.concatenate([[0.0], np.cumsum(motion[:, 2])])
+
+    def yaw(times: FloatArray) -> FloatArray:
+        turned = _motions(model, rims, np.full(len(times), rims.t[0]), times, lag)[:, 2]
+        return np.asarray(turned + np.interp(times, t, strayed))
+
+    return _record(name, vehicle, rims, Series(t, truth, "pose"), yaw, sensors, rng, seed)
+
+
+def _motions(model: Model, rims: Series, start: FloatArray, end: FloatArray, lag: float) -> FloatArray:
+    windows = Windows(start, end, np.zeros((len(start), 3)), np.ones(len(start), bool))
+    return predict(model, rims, windows, Timing(0.0, lag))
+
+
+def _reference_times(rims: Series, sensors: Sensors) -> FloatArray:
+    t = np.arange(rims.t[0] + MARGIN, rims.t[-1] - MARGIN, 1.0 / sensors.reference_rate)
+    if len(t) < 2:
+        raise RequestError(f"{rims.t[-1] - rims.t[0]:.2f} s are too short for two references; drive longer")
+    return t
+
+
+def _record(
+    name: str,
+    vehicle: Vehicle,
+    rims: Series,
+    truth: Series,
+    yaw: Callable[[FloatArray], FloatArray],
+    sensors: Sensors,
+    rng: np.random.Generator,
+    seed: int,
+    wheel_command: Series | None = None,
+) -> Drive:
+    """A drive from rim speeds held, true poses at the reference's times, and the yaw [rad] at any times."""
+    n = len(truth)
+    stamped = truth.t + sensors.reference_delay + sensors.stamp_sigma * rng.standard_normal(n)
     noise = np.array([sensors.position_sigma, sensors.position_sigma, sensors.yaw_sigma])
-    measured = compose(truth, exp(noise * rng.standard_normal(truth.shape)))
+    seen = compose(truth.values, [sensors.mount.x, sensors.mount.y, sensors.mount.yaw])
+    measured = compose(seen, exp(noise * rng.standard_normal((n, 3))))
     order = np.argsort(stamped)
-    pose = Series(stamped[order], measured[order], "pose")
-    return Drive(name, vehicle, _encoders(rims, sensors.encoder_step), pose=pose, source=f"simulated, seed {seed}")
+    order = order[~_lost(truth.t, sensors, rng)[order]]
+    return Drive(
+        name,
+        vehicle,
+        _encoders(rims, sensors),
+        pose=Series(stamped[order], measured[order], "pose"),
+        gyro=_gyro(rims, yaw, sensors, rng) if sensors.gyro_rate > 0.0 else None,
+        wheel_command=wheel_command,
+        source=f"simulated, seed {seed}",
+    )
 
 
-def _encoders(rims: Series, step: float) -> Series:
+def _lost(t: FloatArray, sensors: Sensors, rng: np.random.Generator) -> np.ndarray:
+    """Which references (n,) do not come: stretches of random length; the first and the last always do."""
+    lost = np.zeros(len(t), bool)
+    if sensors.lost_share <= 0.0:
+        return lost
+    if not (sensors.lost_share < 1.0 and sensors.lost_duration > 0.0):
+        raise RequestError(f"need lost_share below 1 and lost_duration above 0 s, got {sensors}")
+    rate = -np.log1p(-sensors.lost_share) / sensors.lost_duration  # of stretches, which may overlap
+    first = t[0] - 10.0 * sensors.lost_duration
+    starts = rng.uniform(first, t[-1], rng.poisson(rate * (t[-1] - first)))
+    for start, length in zip(starts, rng.exponential(sensors.lost_duration, len(starts)), strict=True):
+        lost |= (t >= start) & (t < start + length)
+    lost[[0, -1]] = False
+    return lost
+
+
+def _gyro(rims: Series, yaw: Callable[[FloatArray], FloatArray], sensors: Sensors, rng: np.random.Generator) -> Series:
+    """Yaw rates, each the mean over one period around its stamp."""
+    half = 0.5 / sensors.gyro_rate
+    t = np.arange(rims.t[0] + half, rims.t[-1] - half, 2.0 * half)
+    rate = (yaw(t + half) - yaw(t - half)) * sensors.gyro_rate
+    return Series(t, rate + sensors.gyro_bias + sensors.gyro_sigma * rng.standard_normal(len(t)), "gyro")
+
+
+def _encoders(rims: Series, sensors: Sensors) -> Series:
     """Rim speeds as counts of an encoder tell them: the rolled distance rounded to whole counts, differentiated."""
-    if step == 0.0:
+    step, rate = sensors.encoder_step, sensors.encoder_rate
+    if step == 0.0 and rate == 0.0:
         return rims
-    dt = np.diff(rims.t, append=2.0 * rims.t[-1] - rims.t[-2])[:, None]
-    rolled = np.concatenate([np.zeros((1, 2)), np.cumsum(rims.values * dt, axis=0)])
-    return Series(rims.t, np.diff(np.round(rolled / step) * step, axis=0) / dt, "wheels")
+    edges = np.append(rims.t, 2.0 * rims.t[-1] - rims.t[-2])
+    rolled = np.concatenate([np.zeros((1, 2)), np.cumsum(rims.values * np.diff(edges)[:, None], axis=0)])
+    if rate > 0.0:
+        t = np.arange(edges[0], edges[-1], 1.0 / rate)
+        edges, rolled = t, np.column_stack([np.interp(t, edges, side) for side in rolled.T])
+    counted = np.round(rolled / step) * step if step > 0.0 else rolled
+    return Series(edges[:-1], np.diff(counted, axis=0) / np.diff(edges)[:, None], "wheels")
 
 
 def rims_from_manoeuvres(

@@ -1,0 +1,148 @@
+"""A robot on its wheels in time: rim speeds asked for in, its motion out. Planar, implicit Euler steps.
+
+The shear stress follows the sliding at once, as in the steady turn; at low speed that is stiff, which is why the steps
+are implicit. The loads follow the ground's forces of the step before. The rims follow a first-order lag as long as the
+torque reaches; where it does not, they pull with the limit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skidsteer.drive import Drive, Series
+from skidsteer.errors import RequestError
+from skidsteer.kernels import ground as kernels
+from skidsteer.se2 import FloatArray
+from skidsteer.simulate import PLAIN, Motion, Sensors, recorded
+from skidsteer.terramechanics.robot import SIDES, Robot
+from skidsteer.terramechanics.shear import NODES, Quadrature
+from skidsteer.terramechanics.terrain import Ground, Terrain
+
+STEP = 0.005  # [s] longest
+
+
+def move(
+    robot: Robot,
+    ground: Ground | Terrain,
+    commands: Series,
+    start: ArrayLike = (0.0,) * 8,
+    step: float = STEP,
+    quadrature: Quadrature = NODES,
+) -> Motion:
+    """Drive a robot from its first command to its last.
+
+    Args:
+        robot: that moves.
+        ground: terrain everywhere, or areas of several.
+        commands: (n, 2) [m/s] rim speeds asked for, held from sample to sample; steps end at the samples.
+        start: (8,) x, y [m], yaw [rad], v_x, v_y [m/s], omega [rad/s], left and right rim speed [m/s].
+        step: [s] longest.
+        quadrature: over each patch.
+
+    Raises:
+        RequestError: fewer than two commands, one beyond what the vehicle's wheels can do, a wheel that lifts off, a
+            start that is not finite, or a step that cannot be solved.
+    """
+    _refuse_fast(robot, commands)
+    state = np.array(start, dtype=float)
+    if state.shape != (8,) or not np.isfinite(state).all():
+        raise RequestError(f"a start needs 8 finite numbers: pose, twist, rim speeds; got {state}")
+    if not 0.0 < step < np.inf:
+        raise RequestError(f"the step must be a positive time in s, got {step}")
+    ground = Ground(ground) if isinstance(ground, Terrain) else ground
+    t = _clock(commands.t, step)
+    poses, states, power = np.empty((len(t), 3)), np.empty((len(t), 5)), np.empty((len(t), 3))
+    ended, at, wheel = kernels.drive(
+        t,
+        commands.hold(t),
+        state,
+        robot.places,
+        _body(robot),
+        ground.bounds(),
+        ground.numbers(),
+        *quadrature.nodes(),
+        poses,
+        states,
+        power,
+    )
+    _refuse_end(robot, ended, float(t[at]), wheel)
+    return Motion(t, poses, states[:, :3], states[:, 3:], power)
+
+
+def terramechanic_drive(
+    name: str,
+    robot: Robot,
+    ground: Ground | Terrain,
+    commands: Series,
+    sensors: Sensors = PLAIN,
+    seed: int = 0,
+) -> Drive:
+    """Drive a robot over a ground and record it.
+
+    Args:
+        name: of the drive.
+        robot: that moves, from rest at the origin.
+        ground: terrain everywhere, or areas of several.
+        commands: (n, 2) [m/s] rim speeds asked for, held from sample to sample.
+        sensors: that record it.
+        seed: of the sensors' noise.
+
+    Returns:
+        A drive with the encoders' rim speeds, the reference, the gyro if there is one, and the ``wheel_command``.
+
+    Raises:
+        RequestError: as `move` does.
+    """
+    return recorded(name, robot.vehicle, move(robot, ground, commands), sensors, seed, commands)
+
+
+def _clock(t: FloatArray, step: float) -> FloatArray:
+    """Times that hold every t (n,) [s] and are no more than ``step`` [s] apart."""
+    if len(t) < 2:
+        raise RequestError("a drive needs at least two commands: the last one tells when it ends")
+    parts = np.ceil(np.diff(t) / step * (1.0 - 1e-9)).astype(int)
+    first = np.cumsum(parts) - parts
+    share = (np.arange(parts.sum()) - np.repeat(first, parts)) / np.repeat(parts, parts)
+    return np.append(np.repeat(t[:-1], parts) + share * np.repeat(np.diff(t), parts), t[-1])
+
+
+def _body(robot: Robot) -> FloatArray:
+    """The numbers of a robot in the order of `kernels.ground.drive`."""
+    r = robot.vehicle.wheel_radius
+    return np.array(
+        [
+            robot.mass,
+            robot.yaw_inertia,
+            robot.com_x,
+            robot.com_y,
+            robot.com_height,
+            robot.wheel_inertia / r**2,
+            robot.lag,
+            robot.torque_limit / r,
+            robot.patch_length,
+            robot.patch_width,
+        ]
+    )
+
+
+def _refuse_fast(robot: Robot, commands: Series) -> None:
+    limit = robot.vehicle.max_wheel_speed
+    if commands.values.shape[1] != 2:
+        raise RequestError(f"commands need two columns, left and right rim speed, got {commands.values.shape[1]}")
+    if limit is None or np.abs(commands.values).max() <= limit * (1.0 + 1e-9):
+        return
+    at, side = np.unravel_index(np.abs(commands.values).argmax(), commands.values.shape)
+    raise RequestError(
+        f"the {SIDES[side]} wheels are asked for {commands.values[at, side]:.3f} m/s at {commands.t[at]:.2f} s, but"
+        f" {robot.vehicle.name} reaches {limit} m/s; drive slower or turn less"
+    )
+
+
+def _refuse_end(robot: Robot, ended: int, t: float, wheel: int) -> None:
+    if ended == kernels.LIFTED:
+        raise RequestError(
+            f"{robot.name_of(wheel)} lifts off the ground at {t:.3f} s; drive more gently or lower the centre of mass"
+        )
+    if ended == kernels.FAILED:
+        raise RequestError(f"the forces at {t:.3f} s find no balance; shorten the step or drive more gently")

@@ -1,0 +1,106 @@
+"""What a wheel feels of the ground, and grounds that differ from place to place or change with time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from skidsteer.errors import RequestError
+from skidsteer.se2 import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """Four numbers of a firm ground, Wang 2015, Table 1, after Yu 2010 and Wong 2001.
+
+    Raises:
+        RequestError: friction or shear modulus not above zero, or a negative rolling resistance.
+    """
+
+    name: str
+    friction: float  # mu_sa: while left and right wheels turn the same way
+    friction_opposite: float  # mu_op: while they turn opposite ways
+    shear_modulus: float  # [m] K: sliding after which 63 % of the friction is reached
+    rolling_resistance: float = 0.0  # share of the load that opposes the motion of a hub, Eq. (22)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("name", "source"):
+                continue
+            least = 0.0 if field.name == "rolling_resistance" else math.ulp(0.0)
+            if not least <= value < math.inf:
+                need = "at least 0" if least == 0.0 else "above 0"
+                raise RequestError(f"terrain {self.name}: {field.name} must be {need}, got {value}")
+
+    def numbers(self) -> FloatArray:
+        """The four numbers (4,), in the order of the fields."""
+        return np.array([self.friction, self.friction_opposite, self.shear_modulus, self.rolling_resistance])
+
+
+NOON = "friction: Noon 1994, Engineering Analysis of Vehicular Accidents; "
+ASSUMED = "shear modulus and rolling resistance assumed"
+TERRAINS: dict[str, Terrain] = {
+    terrain.name: terrain
+    for terrain in (
+        Terrain("lab", 0.4437, 0.3093, 0.00054, 0.0371, "Wang 2015, Table 1: a tiled floor, numbers of Yu 2010"),
+        Terrain("asphalt", 0.65, 0.65, 0.001, 0.04, f"{NOON}{ASSUMED}"),
+        Terrain("concrete", 0.75, 0.75, 0.001, 0.03, f"{NOON}{ASSUMED}"),
+        Terrain("grass", 0.45, 0.45, 0.006, 0.08, "all assumed; Noon 1994 has 0.2 for a wet, grassy field"),
+        Terrain("gravel", 0.35, 0.35, 0.010, 0.06, f"{NOON}{ASSUMED}"),
+        Terrain("wet-sand", 0.60, 0.60, 0.010, 0.10, "all assumed; Wong 2001 has K = 0.01 m for firm sand"),
+        Terrain("ice", 0.10, 0.10, 0.001, 0.015, f"{NOON}{ASSUMED}"),
+    )
+}
+
+
+def terrain(name: str) -> Terrain:
+    """The terrain of that name.
+
+    Raises:
+        RequestError: no such terrain; the message lists those there are.
+    """
+    if name not in TERRAINS:
+        raise RequestError(f"no terrain '{name}'; there are: {', '.join(TERRAINS)}")
+    return TERRAINS[name]
+
+
+Range = tuple[float, float]
+ALWAYS: Range = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A rectangle with another terrain, for a time; from each lower bound up to and without the upper one."""
+
+    terrain: Terrain
+    x: Range = ALWAYS  # [m] in the frame of the drive
+    y: Range = ALWAYS  # [m]
+    t: Range = ALWAYS  # [s]
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "t"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise RequestError(f"area of {self.terrain.name}: {name} must begin before it ends, got {low}, {high}")
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """A terrain everywhere, and areas over it; where several hold a wheel, the last of them counts."""
+
+    everywhere: Terrain
+    areas: Sequence[Area] = ()
+
+    def bounds(self) -> FloatArray:
+        """From and to in t, x and y (k, 6) of every area, the first of which is everywhere."""
+        limits = [[*area.t, *area.x, *area.y] for area in (Area(self.everywhere), *self.areas)]
+        return np.array(limits)
+
+    def numbers(self) -> FloatArray:
+        """The numbers of their terrains (k, 4)."""
+        return np.array([self.everywhere.numbers(), *(area.terrain.numbers() for area in self.areas)])
