@@ -4,8 +4,8 @@ The equations are printed for x to the right and y forward; here REP-103 holds. 
 tau = p mu (1 - exp(-j / K)), Wong 2001. The exponents of Eqs. (19), (21) print K_r for left wheels.
 
 Yu's shear displacement j is the chord of the element's way over the ground since it came into contact. Ours is the
-mean sliding velocity seen from the robot, times the time in contact: the same up to (omega T)^2 / 24, and it does not
-fold back on itself where a wheel hardly turns.
+mean sliding velocity seen from the robot, times the time T in contact: the same but for terms of order (omega T)^2 (chi
+of Table 1's robot differs by 2e-5), and it does not fold back on itself where a wheel hardly turns.
 """
 
 from __future__ import annotations
