@@ -86,8 +86,7 @@ def steady_turn(
         quadrature: over each patch.
 
     Raises:
-        RequestError: no balance was found, such as where the ground cannot hold the robot in its turn, or a wheel
-            lifts off.
+        RequestError: speeds that are not finite, no balance found, or a wheel that lifts off.
     """
     rims = np.stack(np.broadcast_arrays(np.asarray(v_left, dtype=float), np.asarray(v_right, dtype=float)), axis=-1)
     flat = rims.reshape(-1, 2)
@@ -173,8 +172,8 @@ def _refuse_unbalanced(robot: Robot, rims: FloatArray, balance: _Balance) -> Non
     bad = np.flatnonzero(~(balance.size <= TOLERANCE))
     if bad.size:
         raise RequestError(
-            f"no steady turn with rim speeds of {rims[bad[0], 0]:.3f} and {rims[bad[0], 1]:.3f} m/s: the ground cannot"
-            f" hold the robot in it; drive slower or wider ({bad.size} of {len(rims)} pairs)"
+            f"the forces find no balance with rim speeds of {rims[bad[0], 0]:.3f} and {rims[bad[0], 1]:.3f} m/s"
+            f" ({bad.size} of {len(rims)} pairs); drive slower"
         )
     lifted = np.argwhere(balance.loads < 0.0)
     if lifted.size:
