@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from skidsteer.drive import Drive, Series
 from skidsteer.models import Differential, Icr
 from skidsteer.noise import BOUNDS, Noise, Residuals, Weights, deviance, fit_noise, residuals, reweigh
-from skidsteer.se2 import FloatArray, compose
+from skidsteer.se2 import FloatArray, between, compose
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import preset
 from skidsteer.windows import Sees, Timing, Windows, increment_windows, predict, steps
@@ -286,3 +286,33 @@ def test_noise_alone_is_hardly_ever_an_outlier() -> None:
 def test_weights_fall_with_the_squared_distance() -> None:
     shares = [reweigh([spoiled(np.array([d, 0.0, 0.0]), 300, 301)], TRUE_NOISE)[0].end[299] for d in (0.4, 0.8)]
     assert shares[0] / shares[1] == pytest.approx(4.0, rel=0.2)
+
+
+def slipping(step: FloatArray, first: int, last: int) -> Residuals:
+    """Residuals of a drive whose body moves by ``step`` beside what the wheels say, in each of a run of motions."""
+    drive = simulated(TRUE_NOISE, 7)
+    assert drive.pose is not None
+    values = drive.pose.values.copy()
+    for i in range(first, last):
+        after = compose(compose(values[i], step), between(values[i], values[i + 1 :]))
+        values[i + 1 :] = after
+    return residuals_of(replace(drive, pose=Series(drive.pose.t, values)))
+
+
+@pytest.mark.parametrize("step", [[0.0, 0.0, 0.05], [0.03, 0.0, -0.03], [0.03, -0.03, 0.0]])
+def test_an_episode_of_slip_is_found_by_its_sum(step: list[float]) -> None:
+    """A side that spins for 3 s: no motion is odd by itself, all of them together are."""
+    part, first, last = slipping(np.array(step), 300, 315), 300, 315
+    weights = reweigh([part], TRUE_NOISE)[0]
+    assert np.median(weights.motion[first:last]) < 0.5
+    assert (weights.motion < 0.7).sum() <= 2 * (last - first)
+    quiet = replace(part, windows=replace(part.windows, joined=np.zeros(len(part.residual), bool)))
+    alone = reweigh([quiet], TRUE_NOISE)[0]  # each motion for itself
+    assert np.median(alone.motion[first:last]) == 1.0
+
+
+def test_errors_that_all_episodes_share_make_none_odd() -> None:
+    """A model that is wrong everywhere is no reason to leave out what drives most."""
+    part = slipping(np.array([0.0, 0.0, 0.02]), 0, 1229)
+    weights = reweigh([part], TRUE_NOISE)[0]
+    assert (weights.motion < 1.0).mean() < 0.2
