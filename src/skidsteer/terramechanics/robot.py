@@ -35,7 +35,7 @@ class Robot:
     com_x: float = 0.0  # [m] centre of mass ahead of the origin
     com_y: float = 0.0  # [m] to the left of it
     com_height: float = 0.0  # [m] above the ground
-    lag: float = 0.1  # [s] of the speed loop of the wheels; 0: the rims do as they are told
+    lag: float = 0.1  # [s] of the speed loop of the wheels; 0: the rims do as they are told, where the torque reaches
     torque_limit: float = math.inf  # [N m] of the wheels of one side together
     wheel_inertia: float = 0.02  # [kg m^2] of the wheels of one side together, their motor included
 
