@@ -27,6 +27,7 @@ bench: .venv/ready  ## measure speed and memory, writes docs/benchmarks.md
 	$(BIN)/python benchmarks/run.py
 
 studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md
+	$(BIN)/python -m pip install --quiet --editable '.[studies]'
 	$(BIN)/python benchmarks/models.py
 
 clean:           ## remove everything that was made
