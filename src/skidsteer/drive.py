@@ -92,7 +92,7 @@ class Drive:
     segments: FloatArray | None = None  # (k, 2) start, end [s]: separate windows, nothing continuous between them
     labels: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (k,) further columns of the segments
     source: str = ""  # where it was read from
-    sha256: str = ""  # of the files it was read from
+    sha256: str = ""  # of the files, or for a bag of the numbers read from it
 
     def __post_init__(self) -> None:
         widths = {"wheels": 2, "pose": 3, "position": 2, "gyro": 1, "command": 2, "wheel_command": 2}

@@ -103,7 +103,7 @@ def _held_finding(part: str, t: FloatArray, hold: int) -> Finding:
     rate = 1.0 / sampling_period(t)
     return Finding(
         "held_samples",
-        f"The {part} comes at {rate:.3g} Hz but changes only every {hold} samples, at {rate / hold:.2g} Hz.",
+        f"Samples of the {part} come at {rate:.3g} Hz but change only every {hold}, at {rate / hold:.2g} Hz.",
         (),
         0.95,
         "info" if part == "wheels" else "warning",
