@@ -16,7 +16,7 @@ ARCHITECTURE = SOURCE.parents[1] / "docs" / "architecture.md"
 ORDER = """
     errors se2 vehicle drive paths kernels models windows gyro noise heading prediction metrics calibration
     simulate terramechanics samples p3at
-    io doctor identify evaluate
+    io doctor identify evaluation
     odometry laser control plants plan export report reproduce
     documents console cli
 """
@@ -131,5 +131,6 @@ def test_importing_the_command_line_is_light(name: str) -> None:
 def test_public_names_are_there() -> None:
     for name in skidsteer.__all__:
         assert getattr(skidsteer, name).__name__ == name
+        assert getattr(skidsteer, name).__name__ == name  # a module of that name would take its place once imported
     with pytest.raises(AttributeError, match=r"^module 'skidsteer' has no attribute 'nothing'$"):
         _ = skidsteer.nothing

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from skidsteer.calibration import Calibration
     from skidsteer.drive import Drive, Series
     from skidsteer.errors import DataError, RequestError, SkidSteerError
-    from skidsteer.evaluate import evaluate
+    from skidsteer.evaluation import evaluate
     from skidsteer.identify.calibrate import calibrate
     from skidsteer.io.calibration_file import load_calibration, save_calibration
     from skidsteer.io.drives import load_drive
@@ -25,7 +25,7 @@ _HOME = {
     "SkidSteerError": "errors",
     "Vehicle": "vehicle",
     "calibrate": "identify.calibrate",
-    "evaluate": "evaluate",
+    "evaluate": "evaluation",
     "load_calibration": "io.calibration_file",
     "load_drive": "io.drives",
     "save_calibration": "io.calibration_file",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skidsteer.errors import RequestError
 from skidsteer.metrics import Spread, WindowErrors
 from skidsteer.models import MatrixModel, Model
 from skidsteer.noise import Noise
@@ -130,7 +131,7 @@ class Calibration:
     """A calibrated motion model.
 
     ``names`` orders ``covariance`` (m, m): the model's parameters, ``lag``, then ``time_offset`` or, for several
-    drives, ``time_offset:NAME`` of each.
+    drives, ``time_offset:NAME`` of each. Beside ``profiles``, the calibration itself is for all grounds together.
     """
 
     vehicle: Vehicle
@@ -146,6 +147,7 @@ class Calibration:
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
     regions: Regions | None = None  # of end poses after ``window`` seconds; None: too few held-out windows
     observability: Observability | None = None  # None: not judged
+    profiles: Mapping[str, Calibration] = field(default_factory=dict)  # one for each ground; the same model on each
 
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=float)
@@ -154,6 +156,19 @@ class Calibration:
             raise ValueError(f"covariance {covariance.shape} and estimates must fit the {size} names {self.names}")
         covariance.setflags(write=False)
         object.__setattr__(self, "covariance", covariance)
+
+    def profile(self, name: str | None) -> Calibration:
+        """The calibration for one ground; None: for all of them.
+
+        Raises:
+            RequestError: no such profile; the message lists those there are.
+        """
+        if name is None:
+            return self
+        if name not in self.profiles:
+            there = f"there are: {', '.join(self.profiles)}" if self.profiles else "the calibration has none"
+            raise RequestError(f"no profile '{name}'; {there}")
+        return self.profiles[name]
 
     @property
     def parameters(self) -> dict[str, Estimate]:

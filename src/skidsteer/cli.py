@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 if TYPE_CHECKING:
+    from skidsteer.calibration import Calibration
     from skidsteer.drive import Drive
+    from skidsteer.identify.circle_calibration import CircleCalibration
     from skidsteer.io.bag import BagContents
     from skidsteer.vehicle import Vehicle
 
@@ -30,6 +32,7 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON document and 
 Window = Annotated[float, typer.Option("--window", metavar="S", help="length of the judging windows [s]")]
 Offset = Annotated[float | None, typer.Option(help="fix the time offset of the reference [s]")]
 Lag = Annotated[float | None, typer.Option(help="fix the actuation lag [s]")]
+Profile = Annotated[str | None, typer.Option(metavar="NAME", help="ground of the calibration; none: all together")]
 
 SOURCE_OPTIONS = {
     "vehicle": ("NAME|FILE", "preset or YAML file with the robot's measures"),
@@ -86,6 +89,16 @@ class Source:
         topics = {name: word for name, word in self.words.items() if name != "vehicle"}
         return load_drives(paths, self.vehicle() or otherwise, parse_options(topics))
 
+    def circles(self, paths: list[str], model: str, method: str) -> CircleCalibration | None:
+        """The calibration from a table of circle runs, or from the circles in drives if asked; None: from drives."""
+        from skidsteer.identify.circle_calibration import METHOD, calibrate_circles, calibrate_circles_in, serves
+        from skidsteer.io.circle_runs import circle_table
+
+        table = circle_table(paths, self.vehicle())
+        if table is not None and serves(model, method, table.is_drive):
+            return calibrate_circles(table.runs, table.vehicle, (table.record,), model)
+        return calibrate_circles_in(self.load(paths), model) if method == METHOD else None
+
 
 def on_drives(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command that takes a ``source`` the options of ``SOURCE_OPTIONS`` in its place."""
@@ -118,7 +131,7 @@ def calibrate(
     source: Source,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml there")] = None,
     model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
-    method: Annotated[str, typer.Option(help="least-squares or genetic (Mandow 2007)")] = "least-squares",
+    method: Annotated[str, typer.Option(help="least-squares, genetic (Mandow 2007) or circle-test")] = "least-squares",
     window: Window = 2.0,
     time_offset: Offset = None,
     lag: Lag = None,
@@ -131,13 +144,18 @@ def calibrate(
     from skidsteer import console, documents
     from skidsteer.identify.calibrate import calibrate as calibrate_drives
     from skidsteer.identify.calibrate import make_options
-    from skidsteer.io.calibration_file import save_calibration
 
+    if (circles := source.circles(drives, model, method)) is not None:
+        _write(circles.calibration, out)
+        if json:
+            typer.echo(documents.to_json(documents.circles_document(circles)))
+        else:
+            console.show_circles(circles)
+        return
     options = make_options(model, method, window, seed, time_offset, lag, mount, fix)
     with console.progress_bar() as report:
         calibration = calibrate_drives(source.load(drives), options=options, progress=report)
-    if out is not None:
-        save_calibration(calibration, _folder(out) / "calibration.yaml")
+    _write(calibration, out)
     if json:
         typer.echo(documents.to_json(documents.calibration_document(calibration)))
     else:
@@ -152,14 +170,15 @@ def evaluate(
     source: Source,
     window: Window = 2.0,
     fit_delay: Annotated[bool, typer.Option("--fit-delay", help="find the time offset of each drive first")] = False,
+    profile: Profile = None,
     json: Json = False,
 ) -> None:
     """Errors of a calibration on drives; fits nothing, but the delay if asked."""
     from skidsteer import console, documents
-    from skidsteer.evaluate import evaluate as evaluate_drives
+    from skidsteer.evaluation import evaluate as evaluate_drives
     from skidsteer.io.calibration_file import load_calibration
 
-    known = load_calibration(calibration)
+    known = load_calibration(calibration).profile(profile)
     loaded = source.load(drives, otherwise=known.vehicle)
     result = evaluate_drives(known, loaded, _positive(window, "--window"), fit_delay)
     if json:
@@ -236,12 +255,47 @@ def sample(
     typer.echo(f"written: {target}")
 
 
+@app.command()
+def simulate(
+    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file with the robot's measures")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="drive folder to write")],
+    commands: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV: t with v, omega or v_left, v_right")] = None,
+    manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA;...", help="instead: one after the other")] = None,
+    plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic or terramechanic")] = "terramechanic",
+    terrain: Annotated[str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")] = "lab",
+    seed: Annotated[int, typer.Option(help="of the sensors' noise")] = 0,
+) -> None:
+    """Drive a simulated robot over a ground and write what its sensors record as a drive folder."""
+    from skidsteer import plants
+    from skidsteer.errors import RequestError
+    from skidsteer.io.commands import parse_manoeuvres, read_commands
+    from skidsteer.io.folder import vehicle as find_vehicle
+    from skidsteer.io.folder import write_folder
+    from skidsteer.terramechanics.terrain import parse_ground
+
+    if (commands is None) == (manoeuvre is None):
+        raise RequestError("give either --commands FILE or --manoeuvre S,V,OMEGA;...")
+    robot = find_vehicle(vehicle)
+    rims = parse_manoeuvres(manoeuvre or "", robot) if commands is None else read_commands(commands, robot)
+    drive = plants.plant(plant)(out.name, robot, parse_ground(terrain), rims, plants.usual_sensors(robot), seed)
+    _folder(out.parent)
+    write_folder(drive, out)
+    typer.echo(f"written: {out}")
+
+
 def _positive(value: float, option: str) -> float:
     from skidsteer.errors import RequestError
 
     if not 0.0 < value < 1e6:
         raise RequestError(f"{option} must be a positive time in s, got {value}")
     return value
+
+
+def _write(calibration: Calibration, out: Path | None) -> None:
+    from skidsteer.io.calibration_file import save_calibration
+
+    if out is not None:
+        save_calibration(calibration, _folder(out) / "calibration.yaml")
 
 
 def _folder(path: Path) -> Path:

@@ -15,8 +15,10 @@ from rich.table import Table
 from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import EXCITATION, Finding
 from skidsteer.drive import Drive
-from skidsteer.evaluate import Evaluation
+from skidsteer.evaluation import Evaluation
 from skidsteer.identify.calibrate import Progress as Report
+from skidsteer.identify.circle_calibration import CircleCalibration
+from skidsteer.identify.circle_test import SideResult
 from skidsteer.identify.select import Excess, Selection
 
 if TYPE_CHECKING:
@@ -54,6 +56,58 @@ def show_calibration(calibration: Calibration) -> None:
     OUT.print(f"Chosen: {escape(calibration.selected_because)}.")
     for warning in calibration.warnings:
         OUT.print(f"[yellow]Note:[/yellow] {escape(warning)}.")
+    if calibration.profiles:
+        OUT.print(_profiles(calibration))
+
+
+def _profiles(calibration: Calibration) -> Table:
+    """Parameters of each profile side by side."""
+    table = Table("profile", *calibration.parameters, box=None, pad_edge=False)
+    for name, profile in {"all": calibration, **calibration.profiles}.items():
+        table.add_row(escape(name), *(" +- ".join(_numbers(e)) for e in profile.parameters.values()))
+    return table
+
+
+def show_circles(found: CircleCalibration) -> None:
+    """The circle test, surfaces side by side and left beside right, then the calibration."""
+    sides = {
+        f"{result.surface or 'unnamed'} {name}": side
+        for result in found.surfaces
+        for name, side in (("left", result.left), ("right", result.right))
+        if side is not None
+    }
+    table = Table("", box=None, pad_edge=False)
+    for name in sides:
+        table.add_column(escape(name), justify="right")
+    for title, cells in _circle_rows(list(sides.values())):
+        table.add_row(escape(title), *cells)
+    table.columns[0].no_wrap = True
+    OUT.print("Circle test, Giannoccaro 2015: B_e = 2 x_ICR of Eq. (12), chi of Eq. (11), K_s of Eq. (15).")
+    OUT.print(table)
+    show_calibration(found.calibration)
+
+
+PAIRS = 10  # of rim speeds, up to which the slip ratio of each is shown
+
+
+def _circle_rows(sides: list[SideResult]) -> Iterator[tuple[str, list[str]]]:
+    yield "runs", [str(len(side.runs)) for side in sides]
+    yield "B_e [m]", [f"{2.0 * side.icr_y:.3f}" for side in sides]
+    yield "+-", ["" if side.icr_y_sigma is None else f"{2.0 * side.icr_y_sigma:.3f}" for side in sides]
+    yield "chi", [f"{side.steering_efficiency:.3f}" for side in sides]
+    pairs = sorted({(run.inner, run.outer) for side in sides for run in side.runs})
+    if len(pairs) > PAIRS:
+        told = [[ratio for ratio in side.slip_ratios if ratio is not None] for side in sides]
+        yield "K_s, median", [f"{np.median(ratios):.2f}" if ratios else "open" for ratios in told]
+        return
+    for inner, outer in pairs:
+        yield f"K_s {inner:.3g}:{outer:.3g}", [_slip_ratios(side, inner, outer) for side in sides]
+
+
+def _slip_ratios(side: SideResult, inner: float, outer: float) -> str:
+    """Slip ratios of the runs at a pair of speeds; an inner side at rest leaves it open."""
+    ratios = [r for run, r in zip(side.runs, side.slip_ratios, strict=True) if (run.inner, run.outer) == (inner, outer)]
+    return " ".join("open" if r is None else f"{r:.2f}" for r in ratios) or "-"
 
 
 def before_after(calibration: Calibration) -> str:

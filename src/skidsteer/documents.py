@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import Finding
 from skidsteer.drive import Drive
-from skidsteer.evaluate import Evaluation
+from skidsteer.evaluation import Evaluation
+from skidsteer.identify.circle_calibration import CircleCalibration
+from skidsteer.identify.circle_test import SideResult, SurfaceResult
 from skidsteer.identify.select import Selection
 
 if TYPE_CHECKING:
@@ -38,6 +40,39 @@ def calibration_document(calibration: Calibration) -> Document:
         "vehicle": asdict(calibration.vehicle),
         "drives": [asdict(d) for d in calibration.provenance.drives],
         "software": calibration.provenance.software,
+        "profiles": {name: calibration_document(profile) for name, profile in calibration.profiles.items()},
+    }
+
+
+def circles_document(found: CircleCalibration) -> Document:
+    """What ``calibrate --json`` prints of circle runs: the calibration, and the test surface by surface."""
+    width = found.calibration.vehicle.track_width
+    return {**calibration_document(found.calibration), "circle_test": [_surface(s, width) for s in found.surfaces]}
+
+
+def _surface(result: SurfaceResult, track_width: float) -> Document:
+    sides = {"left": result.left, "right": result.right}
+    return {"surface": result.surface, **{n: None if s is None else _side(s, track_width) for n, s in sides.items()}}
+
+
+def _side(result: SideResult, track_width: float) -> Document:
+    return {
+        "icr_y_m": result.icr_y,
+        "icr_y_sigma_m": result.icr_y_sigma,
+        "equivalent_track_width_m": 2.0 * result.icr_y,
+        "chi": result.steering_efficiency,
+        "misfit": result.misfit,
+        "runs": [
+            {
+                "name": run.name,
+                "v_left": run.v_left,
+                "v_right": run.v_right,
+                "radius_m": run.radius,
+                "chi": run.steering_efficiency(track_width),
+                "slip_ratio": ratio,
+            }
+            for run, ratio in zip(result.runs, result.slip_ratios, strict=True)
+        ],
     }
 
 

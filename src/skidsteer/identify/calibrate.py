@@ -50,7 +50,7 @@ class CalibrateOptions:
         if self.model != "auto" and self.model not in MODELS:
             raise RequestError(f"no model '{self.model}'; there are: auto, {', '.join(MODELS)}")
         if self.method not in ("least-squares", "genetic"):
-            raise RequestError(f"no method '{self.method}'; there are: least-squares, genetic")
+            raise RequestError(f"no method '{self.method}'; there are: least-squares, genetic, circle-test")
         if not (np.isfinite(self.window) and self.window > 0.0):
             raise RequestError(f"--window must be a positive time in s, got {self.window}")
 
@@ -313,8 +313,13 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
         "robust": options.fit.robust,
         "fix": options.fix,
     }
+    return provenance(records, chosen)
+
+
+def provenance(records: tuple[DriveRecord, ...], options: Mapping[str, str | float | int | bool | None]) -> Provenance:
+    """How a calibration is made here and now."""
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    return Provenance(records, chosen, f"skidsteer {version('skidsteer')}", created)
+    return Provenance(records, options, f"skidsteer {version('skidsteer')}", created)
 
 
 def make_options(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -122,10 +122,9 @@ class _Provenance(_Strict):
     options: dict[str, str | bool | int | float | None]
 
 
-class _File(_Strict):
-    """The layout of the file; what a number means stands with the field of the same name in the values."""
+class _Body(_Strict):
+    """The layout of a calibration; what a number means stands with the field of the same name in the values."""
 
-    skidsteer_calibration: int
     vehicle: VehicleFile
     model: _Model
     nuisance: dict[str, _Estimate]
@@ -140,6 +139,11 @@ class _File(_Strict):
     provenance: _Provenance
 
 
+class _File(_Body):
+    skidsteer_calibration: int
+    profiles: dict[str, _Body] = {}
+
+
 def save_calibration(calibration: Calibration, path: str | os.PathLike[str]) -> None:
     """Write a calibration as YAML, all of it or nothing.
 
@@ -151,10 +155,16 @@ def save_calibration(calibration: Calibration, path: str | os.PathLike[str]) -> 
 
 def calibration_text(calibration: Calibration) -> str:
     """The content of ``calibration.yaml``."""
+    content = {"skidsteer_calibration": SCHEMA, **_content(calibration)}
+    if calibration.profiles:
+        content["profiles"] = {name: _content(profile) for name, profile in calibration.profiles.items()}
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+
+
+def _content(calibration: Calibration) -> dict[str, Any]:
     model, provenance = calibration.model, calibration.provenance
     own = {p.name for p in model.PARAMETERS}
-    content = {
-        "skidsteer_calibration": SCHEMA,
+    return {
         "vehicle": asdict(calibration.vehicle),
         "model": {
             "name": model.NAME,
@@ -177,7 +187,6 @@ def calibration_text(calibration: Calibration) -> str:
             "options": dict(provenance.options),
         },
     }
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
 
 
 def _plain(content: Any) -> Any:
@@ -203,7 +212,8 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
         found = "no version" if version is None else f"version {str(version)[:20]!r}"
         raise DataError(f"{path}: a calibration file of {found}, this software reads version {SCHEMA}; calibrate again")
     try:
-        return _calibration(_File.model_validate(content))
+        file = _File.model_validate(content)
+        return replace(_calibration(file), profiles={name: _calibration(body) for name, body in file.profiles.items()})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -225,7 +235,7 @@ def _parse(path: str | os.PathLike[str], text: str) -> dict[str, Any]:
     return content
 
 
-def _calibration(file: _File) -> Calibration:
+def _calibration(file: _Body) -> Calibration:
     if file.model.name not in MODELS:
         raise ValueError(f"model.name: no model '{file.model.name}'; there are: {', '.join(MODELS)}")
     values = {name: e.value for name, e in file.model.parameters.items()}

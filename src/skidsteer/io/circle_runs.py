@@ -7,12 +7,20 @@ Eq. (16), or all three with cells left empty where the other was measured; optio
 
 from __future__ import annotations
 
+import hashlib
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
-from skidsteer.errors import DataError
+from skidsteer.calibration import DriveRecord
+from skidsteer.errors import DataError, RequestError
 from skidsteer.io.csv_table import Table, numbers, read_table, rows
 from skidsteer.io.text_file import listed, short
+from skidsteer.io.vehicle_file import read_vehicle
 from skidsteer.models.slip_ratio import CircleRun
+from skidsteer.samples import SAMPLES, rover_runs
+from skidsteer.vehicle import Vehicle, preset
 
 WORDS = ("surface", "direction", "name")
 NUMBERS = ("radius", "chord", "sagitta", "speed")
@@ -36,6 +44,67 @@ def read_circle_runs(path: str | os.PathLike[str]) -> tuple[CircleRun, ...]:
         given = listed(table.header)
         raise DataError(f"{table.path}: no column 'radius', and not both 'chord' and 'sagitta'; there are: {given}")
     return tuple(_run(table, line, cells) for line, cells in rows(table))
+
+
+@dataclass(frozen=True, slots=True)
+class CircleTable:
+    """Circle runs of one robot, and where they come from."""
+
+    runs: tuple[CircleRun, ...]
+    vehicle: Vehicle
+    record: DriveRecord
+    is_drive: bool = False  # whether the same is a drive, too: the runs laid out as arcs
+
+
+SAMPLE = "sample:rover-4wd1"
+
+
+def circle_table(paths: Sequence[str], vehicle: Vehicle | None = None) -> CircleTable | None:
+    """The circle runs that a command line names; None where it names a drive.
+
+    A table is a single CSV file without a clock in which a radius, a chord or a sagitta is a column.
+
+    Args:
+        paths: as given.
+        vehicle: of the runs; None: ``vehicle.yaml`` beside the table.
+
+    Raises:
+        DataError: a table that cannot be used.
+        RequestError: nothing tells the vehicle, or no such surface of the sample.
+    """
+    if len(paths) != 1:
+        return None
+    (path,) = paths
+    if path.startswith(SAMPLE):
+        return _sample(path.removeprefix("sample:"), vehicle)
+    if not path.lower().endswith(".csv") or "," in path:
+        return None
+    table = read_table(path)
+    if "t" in table.header or not {"radius", "chord", "sagitta"} & set(table.header):
+        return None
+    runs = read_circle_runs(path)
+    sha256 = hashlib.sha256(table.data).hexdigest()
+    return CircleTable(runs, vehicle or _beside(table.path), _record(table.path.stem, path, sha256, len(runs)))
+
+
+def _sample(name: str, vehicle: Vehicle | None) -> CircleTable | None:
+    if name not in SAMPLES:
+        return None
+    surface = name.removeprefix("rover-4wd1").removeprefix("-")
+    runs = tuple(run for run in rover_runs() if surface in ("", run.surface))
+    record = _record(name, "measured circle runs of Giannoccaro 2015, Tables 1, 2 and 4", "", len(runs))
+    return CircleTable(runs, vehicle or preset("rover-4wd1"), record, is_drive=True)
+
+
+def _record(name: str, source: str, sha256: str, count: int) -> DriveRecord:
+    return DriveRecord(name, source, sha256, 0.0, count, 0)
+
+
+def _beside(path: Path) -> Vehicle:
+    file = path.parent / "vehicle.yaml"
+    if not file.exists():
+        raise RequestError(f"{path}: circle runs do not tell the robot's measures; give --vehicle NAME|FILE")
+    return read_vehicle(file)
 
 
 def _run(table: Table, line: int, cells: list[str]) -> CircleRun:
