@@ -12,7 +12,7 @@ import numpy as np
 
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
-from skidsteer.models import Model
+from skidsteer.models import Differential, Model
 from skidsteer.noise import Noise
 from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.vehicle import Vehicle
@@ -226,6 +226,30 @@ def rims_from_manoeuvres(
     for i in range(1, len(t)):
         rims[i] = rims[i - 1] + np.clip(wanted[i] - rims[i - 1], -acceleration / rate, acceleration / rate)
     return Series(t, rims, "wheels")
+
+
+def controller(vehicle: Vehicle) -> Differential:
+    """How the robot's own controller turns v and omega into rim speeds: by its factory width, or else its track's."""
+    width = (vehicle.factory_separation or vehicle.track_width) * (vehicle.factory_multiplier or 1.0)
+    return Differential(width)
+
+
+def refuse_fast(vehicle: Vehicle, commands: Series) -> None:
+    """Refuse rim speeds (n, 2) [m/s] that the wheels of a vehicle cannot reach.
+
+    Raises:
+        RequestError: one of them is beyond ``max_wheel_speed``, or they are not of two sides.
+    """
+    if commands.values.shape[1] != 2:
+        raise RequestError(f"commands need two columns, left and right rim speed, got {commands.values.shape[1]}")
+    limit, size = vehicle.max_wheel_speed, np.abs(commands.values)
+    if limit is None or size.max() <= limit * (1.0 + 1e-9):
+        return
+    at, side = np.unravel_index(size.argmax(), size.shape)
+    raise RequestError(
+        f"the {('left', 'right')[side]} wheels are asked for {commands.values[at, side]:.3f} m/s at"
+        f" {commands.t[at]:.2f} s, but {vehicle.name} reaches {limit} m/s; drive slower or turn less"
+    )
 
 
 def matching_noise(sensors: Sensors, motion_noise: tuple[float, float]) -> Noise:

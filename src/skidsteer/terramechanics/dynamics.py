@@ -14,8 +14,8 @@ from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.kernels import ground as kernels
 from skidsteer.se2 import FloatArray
-from skidsteer.simulate import PLAIN, Motion, Sensors, recorded
-from skidsteer.terramechanics.robot import SIDES, Robot
+from skidsteer.simulate import PLAIN, Motion, Sensors, recorded, refuse_fast
+from skidsteer.terramechanics.robot import Robot
 from skidsteer.terramechanics.shear import NODES, Quadrature
 from skidsteer.terramechanics.terrain import Ground, Terrain
 
@@ -44,7 +44,7 @@ def move(
         RequestError: fewer than two commands, one beyond what the vehicle's wheels can do, a wheel that lifts off, a
             start that is not finite, or a step that cannot be solved.
     """
-    _refuse_fast(robot, commands)
+    refuse_fast(robot.vehicle, commands)
     state = np.array(start, dtype=float)
     if state.shape != (8,) or not np.isfinite(state).all():
         raise RequestError(f"a start needs 8 finite numbers: pose, twist, rim speeds; got {state}")
@@ -123,19 +123,6 @@ def _body(robot: Robot) -> FloatArray:
             robot.patch_length,
             robot.patch_width,
         ]
-    )
-
-
-def _refuse_fast(robot: Robot, commands: Series) -> None:
-    limit = robot.vehicle.max_wheel_speed
-    if commands.values.shape[1] != 2:
-        raise RequestError(f"commands need two columns, left and right rim speed, got {commands.values.shape[1]}")
-    if limit is None or np.abs(commands.values).max() <= limit * (1.0 + 1e-9):
-        return
-    at, side = np.unravel_index(np.abs(commands.values).argmax(), commands.values.shape)
-    raise RequestError(
-        f"the {SIDES[side]} wheels are asked for {commands.values[at, side]:.3f} m/s at {commands.t[at]:.2f} s, but"
-        f" {robot.vehicle.name} reaches {limit} m/s; drive slower or turn less"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
@@ -50,8 +51,8 @@ TERRAINS: dict[str, Terrain] = {
         Terrain("lab", 0.4437, 0.3093, 0.00054, 0.0371, "Wang 2015, Table 1: a tiled floor, numbers of Yu 2010"),
         Terrain("asphalt", 0.65, 0.65, 0.001, 0.04, f"{NOON}{ASSUMED}"),
         Terrain("concrete", 0.75, 0.75, 0.001, 0.03, f"{NOON}{ASSUMED}"),
-        Terrain("grass", 0.45, 0.45, 0.006, 0.08, "all assumed; Noon 1994 has 0.2 for a wet, grassy field"),
-        Terrain("gravel", 0.35, 0.35, 0.010, 0.06, f"{NOON}{ASSUMED}"),
+        Terrain("grass", 0.45, 0.45, 0.003, 0.08, "all assumed; Noon 1994 has 0.2 for a wet, grassy field"),
+        Terrain("gravel", 0.35, 0.35, 0.005, 0.06, f"{NOON}{ASSUMED}"),
         Terrain("wet-sand", 0.60, 0.60, 0.010, 0.10, "all assumed; Wong 2001 has K = 0.01 m for firm sand"),
         Terrain("ice", 0.10, 0.10, 0.001, 0.015, f"{NOON}{ASSUMED}"),
     )
@@ -67,6 +68,27 @@ def terrain(name: str) -> Terrain:
     if name not in TERRAINS:
         raise RequestError(f"no terrain '{name}'; there are: {', '.join(TERRAINS)}")
     return TERRAINS[name]
+
+
+def parse_ground(text: str) -> Ground:
+    """A ground from the words of a command line, such as ``grass`` or ``grass,ice@12,grass@20``.
+
+    Args:
+        text: the first terrain, then each with the time [s] from which it lies everywhere.
+
+    Raises:
+        RequestError: no such terrain, or a time that is no number or not later than the one before.
+    """
+    first, *later = [word.strip() for word in text.split(",")]
+    named = [word.partition("@")[::2] for word in later]
+    try:
+        times = [float(time) for _, time in named]
+    except ValueError:
+        times = [math.nan]
+    if not all(a < b for a, b in pairwise([-math.inf, *times, math.inf])):
+        raise RequestError(f"terrain '{text}': write NAME, then NAME@SECONDS for each later one, such as grass,ice@12")
+    areas = [Area(terrain(name), t=(time, math.inf)) for (name, _), time in zip(named, times, strict=True)]
+    return Ground(terrain(first), tuple(areas))
 
 
 Range = tuple[float, float]

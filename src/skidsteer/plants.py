@@ -1,0 +1,55 @@
+"""Plants by name: what can be driven in place of a robot, from rim speeds asked for to a recorded drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from skidsteer.drive import Drive, Series
+from skidsteer.errors import RequestError
+from skidsteer.models import SymmetricIcr
+from skidsteer.simulate import Sensors, kinematic_drive, refuse_fast
+from skidsteer.terramechanics.dynamics import terramechanic_drive
+from skidsteer.terramechanics.robot import robot
+from skidsteer.terramechanics.terrain import Ground
+from skidsteer.vehicle import Vehicle
+
+LAG = 0.1  # [s] of the kinematic plant
+USUAL = Sensors(reference_rate=10.0, encoder_rate=50.0, gyro_rate=50.0, gyro_sigma=0.003, gyro_bias=0.002)
+
+Plant = Callable[[str, Vehicle, Ground, Series, Sensors, int], Drive]
+
+
+def kinematic(name: str, vehicle: Vehicle, ground: Ground, commands: Series, sensors: Sensors, seed: int) -> Drive:
+    """Constant ICRs where point contacts would have them, chi = 1 + (L / B)^2, whatever the ground."""
+    refuse_fast(vehicle, commands)
+    chi = 1.0 + ((vehicle.wheel_base or 0.0) / vehicle.track_width) ** 2
+    model = SymmetricIcr(0.5 * chi * vehicle.track_width, 1.0)
+    drive = kinematic_drive(name, vehicle, model, commands, sensors, LAG, seed=seed)
+    return replace(drive, wheel_command=commands)
+
+
+def terramechanic(name: str, vehicle: Vehicle, ground: Ground, commands: Series, sensors: Sensors, seed: int) -> Drive:
+    """Shear stress under the patches; what is not known of the vehicle is assumed, see ``robot``."""
+    return terramechanic_drive(name, robot(vehicle), ground, commands, sensors, seed)
+
+
+PLANTS: dict[str, Plant] = {"kinematic": kinematic, "terramechanic": terramechanic}
+
+
+def plant(name: str) -> Plant:
+    """The plant of that name.
+
+    Raises:
+        RequestError: no such plant; the message lists those there are.
+    """
+    if name not in PLANTS:
+        raise RequestError(f"no plant '{name}'; there are: {', '.join(PLANTS)}")
+    return PLANTS[name]
+
+
+def usual_sensors(vehicle: Vehicle) -> Sensors:
+    """A reference at 10 Hz (1 cm, 0.5 deg), encoders and a gyro at 50 Hz; counts where the vehicle's are known."""
+    ticks = vehicle.ticks_per_revolution
+    return USUAL if ticks is None else replace(USUAL, encoder_step=2.0 * math.pi * vehicle.wheel_radius / ticks)
