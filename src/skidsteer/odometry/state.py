@@ -113,10 +113,10 @@ class Filter(Protocol):
         """What the mean holds, (n,); x, y, yaw first."""
 
     def start(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> FilterState:
-        """The state at the beginning: pose (3,) and its covariance (3, 3), not negative definite."""
+        """The state at the beginning: pose (3,) and its covariance (3, 3), positive definite."""
 
-    def predict(self, state: FilterState, wheels: tuple[float, float], dt: float) -> FilterState:
-        """The state after rim speeds v_left, v_right [m/s] have been held for dt [s].
+    def predict(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
+        """The state after rim speeds v_left, v_right [m/s] have been held for dt [s]; None: they are unknown.
 
         Raises:
             DataError: time goes backwards, or speeds or time are not finite; a dt of zero changes nothing.

@@ -1,0 +1,567 @@
+"""One step and one update of the filter whose states are pose, parameters and gyro bias: ``odometry.icr_filter``.
+
+State x: x, y [m], yaw [rad], the q free parameters, and with a gyro its bias [rad/s]; covariance P. ``memory`` holds
+what is no random state: rim speeds behind the lag, what the last step turned, the tale of refused references. All is
+done in place.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from skidsteer.kernels.rollout import half_rotation
+from skidsteer.kernels.twists import twist_of
+from skidsteer.se2 import FloatArray
+
+
+class Setup(NamedTuple):
+    """What a filter was made from; ``packed`` lays it out as one array, which is quicker to hand over."""
+
+    settings: FloatArray  # (SETTINGS,) at the places below
+    theta: FloatArray  # (p,) all parameters of the model; the free ones are taken from the state
+    free: FloatArray  # (q,) indices of those that the state holds
+    bounds: FloatArray  # (q, 2) of the free ones
+    ground: FloatArray  # (q, q) covariance that the free parameters come to have on ground unseen
+
+
+# Places in ``settings``
+KIND, TRACK, LAG, WALK, TURN, REACH, BIAS_WALK, GYRO_SCALE, LONGEST, GAP_WALK, GAP_TURN = range(11)
+GATES, SURPRISE_SHARE, SURPRISE_LIMIT, PATIENCE, LOST, ADAPT = 11, 14, 15, 16, 17, 18
+SETTINGS = 19
+
+# Places in ``memory``; from CROSS on the covariance of the state with the turn of the last step
+LEFT, RIGHT, SINCE, TURNED, TURN_VARIANCE, SURPRISE, FRESH, REFUSED, AGREED = range(9)
+SEEN, FORESEEN, CROSS = 9, 12, 15
+
+HASTE = 0.6  # of the alarm that a jump of the reference raises: a second one soon after is the ground's
+AT_REST = 1e-9  # [m] rolled: no motion, but the decaying rest of a lag; as in ``skidsteer.noise``
+REFUSED_FLAG, ACCEPTED_FLAG, ANCHORED_FLAG, UNUSED_FLAG = 0, 1, 2, -1
+
+
+class Scratch(NamedTuple):
+    """Room to work in, so that no step allocates any."""
+
+    theta: FloatArray  # (p,) all parameters as the state has them
+    twist: FloatArray  # (3,)
+    J: FloatArray  # (3, p) derivative of the twist; holds zeros where the model writes nothing
+    moved: FloatArray  # (3,) change of the pose
+    B: FloatArray  # (3, q) its derivative by the free parameters
+    Z: FloatArray  # (3, n) first rows of F P
+
+
+@njit(cache=True, error_model="numpy")
+def scratch(setup: Setup, n: int) -> Scratch:
+    """Room for a state of n numbers."""
+    p, q = len(setup.theta), len(setup.free)
+    B, Z = np.zeros((3, q)), np.zeros((3, n))
+    return Scratch(setup.theta.copy(), np.zeros(3), np.zeros((3, p)), np.zeros(3), B, Z)
+
+
+def packed(setup: Setup) -> FloatArray:
+    """The setup as one array: numbers of parameters and of free ones, then the parts one after the other."""
+    sizes = [len(setup.theta), len(setup.free)]
+    return np.concatenate([sizes, *(part.ravel() for part in setup)])
+
+
+@njit(cache=True, error_model="numpy")
+def unpacked(flat: FloatArray) -> Setup:
+    """The setup that was ``packed``, as views."""
+    p, q = int(flat[0]), int(flat[1])
+    a = 2 + SETTINGS
+    b = a + p
+    c = b + q
+    d = c + 2 * q
+    return Setup(flat[2:a], flat[a:b], flat[b:c], flat[c:d].reshape(q, 2), flat[d:].reshape(q, q))
+
+
+@njit(cache=True, error_model="numpy")
+def step(
+    x: FloatArray, P: FloatArray, memory: FloatArray, flat: FloatArray, left: float, right: float, dt: float
+) -> None:
+    """``predict`` with a packed setup."""
+    setup = unpacked(flat)
+    predict(x, P, memory, setup, scratch(setup, len(x)), left, right, dt, np.zeros((0, 0)))
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def predict(
+    x: FloatArray,
+    P: FloatArray,
+    memory: FloatArray,
+    setup: Setup,
+    room: Scratch,
+    left: float,
+    right: float,
+    dt: float,
+    cross: FloatArray,
+) -> None:
+    """One step of rim speeds [m/s] held for dt [s] > 0; NaN: they are unknown.
+
+    Args:
+        x: (n,) in and out.
+        P: (n, n) in and out.
+        memory: (CROSS + n,) in and out.
+        setup: of the filter.
+        room: to work in.
+        left: [m/s].
+        right: [m/s].
+        dt: [s].
+        cross: out, (n, n) covariance of the state before with the one after; or (0, 0): not wanted.
+    """
+    settings, n, q = setup.settings, len(x), len(setup.free)
+    B, moved = room.B, room.moved
+    if math.isnan(left) or math.isnan(right):
+        rolled, walk, turn = dt, settings[GAP_WALK] * dt, settings[GAP_TURN] * dt
+        memory[LEFT] = memory[RIGHT] = math.nan
+        B[:], moved[:] = 0.0, 0.0
+    else:
+        rolled = _roll(x, memory, setup, room, left, right, dt)
+        walk, turn = settings[WALK] * rolled, settings[TURN] * rolled
+    _propagate(P, memory, room, walk, turn, _kept(memory, settings, rolled), setup.ground, cross)
+    for i in range(3):
+        x[i] += moved[i]
+    memory[SINCE], memory[TURNED] = dt, moved[2]
+    if n > 3 + q:
+        P[n - 1, n - 1] += settings[BIAS_WALK] * dt
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _kept(memory: FloatArray, settings: FloatArray, rolled: float) -> float:
+    """How much of their deviation the parameters keep in a step: exp(-distance / reach); nothing on fresh ground."""
+    if memory[FRESH] > 0.0:
+        memory[FRESH] = 0.0
+        return 0.0
+    share = float(rolled / settings[REACH])
+    if share < 1e-3:  # exact to rounding
+        return 1.0 - share * (1.0 - share / 2.0 * (1.0 - share / 3.0 * (1.0 - share / 4.0)))
+    return math.exp(-share)
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _roll(
+    x: FloatArray,
+    memory: FloatArray,
+    setup: Setup,
+    room: Scratch,
+    left: float,
+    right: float,
+    dt: float,
+) -> float:
+    """Write change of the pose and its derivative by the free parameters into the room; returns the distance [m]."""
+    lag, free = setup.settings[LAG], setup.free
+    if lag == 0.0 or math.isnan(memory[LEFT]):
+        memory[LEFT], memory[RIGHT] = left, right
+    lost = -math.expm1(-dt / lag) if lag > 0.0 else 1.0
+    behind_left, behind_right = memory[LEFT] - left, memory[RIGHT] - right
+    roll_left, roll_right = left * dt + behind_left * lag * lost, right * dt + behind_right * lag * lost
+    memory[LEFT], memory[RIGHT] = left + behind_left * (1.0 - lost), right + behind_right * (1.0 - lost)
+    twist, J, moved, B = room.twist, room.J, room.moved, room.B
+    _twist(x, setup, room, roll_left / dt, roll_right / dt)
+    ch, sh, sinc, slope = half_rotation(0.5 * twist[2] * dt)
+    c, s = math.cos(x[2]), math.sin(x[2])
+    cm, sm = c * ch - s * sh, s * ch + c * sh
+    ux, uy = dt * (cm * twist[0] - sm * twist[1]), dt * (sm * twist[0] + cm * twist[1])
+    moved[0], moved[1], moved[2] = sinc * ux, sinc * uy, twist[2] * dt
+    for m in range(len(free)):
+        k = int(free[m])
+        dx, dy, half = dt * J[0, k], dt * J[1, k], 0.5 * dt * J[2, k]
+        B[0, m] = sinc * (cm * dx - sm * dy - half * uy) + slope * half * ux
+        B[1, m] = sinc * (sm * dx + cm * dy + half * ux) + slope * half * uy
+        B[2, m] = 2.0 * half
+    rolled = 0.5 * (abs(roll_left) + abs(roll_right))
+    return rolled if rolled > AT_REST else 0.0
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _twist(
+    x: FloatArray,
+    setup: Setup,
+    room: Scratch,
+    left: float,
+    right: float,
+) -> None:
+    """Write the body twist with the parameters of the state, and its derivative by all of them, into the room."""
+    for m in range(len(setup.free)):
+        room.theta[int(setup.free[m])] = x[3 + m]
+    kind, track = int(setup.settings[KIND]), setup.settings[TRACK]
+    twist_of(kind, track, room.theta, left, right, room.twist, room.J)
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _propagate(
+    P: FloatArray,
+    memory: FloatArray,
+    room: Scratch,
+    walk: float,
+    turn: float,
+    kept: float,
+    ground: FloatArray,
+    cross: FloatArray,
+) -> None:
+    """P = F P F^T + Q with F = [[A, B, 0], [0, kept, 0], [0, 0, 1]]; A moves the position by an error of the yaw.
+
+    The parameters stay where they are; their deviation from that is a Gauss-Markov process: covariance
+    kept^2 P + (1 - kept^2) ground, which grows to ``ground`` and no further.
+    """
+    B, Z, n, q = room.B, room.Z, len(P), room.B.shape[1]
+    a, b = -room.moved[1], room.moved[0]
+    for j in range(n):
+        z0, z1, z2 = P[0, j] + a * P[2, j], P[1, j] + b * P[2, j], P[2, j]
+        turned = 0.0
+        for m in range(q):
+            z0 += B[0, m] * P[3 + m, j]
+            z1 += B[1, m] * P[3 + m, j]
+            turned += B[2, m] * P[3 + m, j]
+        Z[0, j], Z[1, j], Z[2, j] = z0, z1, z2 + turned
+        memory[CROSS + j] = turned
+    if len(cross):
+        _store_cross(P, Z, kept, q, cross)
+    variance = turn
+    for m in range(q):
+        variance += B[2, m] * memory[CROSS + 3 + m]
+    for i in range(3):
+        with_turn = 0.0
+        for m in range(q):
+            with_turn += Z[i, 3 + m] * B[2, m]
+        last = (Z[i, 0] + a * Z[i, 2], Z[i, 1] + b * Z[i, 2], Z[i, 2] + with_turn)
+        for k in range(i + 1):
+            total = last[k]
+            if k < 2:
+                for m in range(q):
+                    total += Z[i, 3 + m] * B[k, m]
+            P[i, k] = total
+        memory[CROSS + i] = with_turn
+    P[0, 0] += walk
+    P[1, 1] += walk
+    P[2, 2] += turn
+    memory[CROSS + 2] += turn
+    memory[TURN_VARIANCE] = variance
+    P[0, 1], P[0, 2], P[1, 2] = P[1, 0], P[2, 0], P[2, 1]
+    for j in range(3, n):
+        share = kept if j < 3 + q else 1.0
+        memory[CROSS + j] *= share
+        for i in range(3):
+            P[i, j] = P[j, i] = share * Z[i, j]
+    fresh = 1.0 - kept * kept
+    for i in range(q):
+        for j in range(i + 1):
+            P[3 + i, 3 + j] = P[3 + j, 3 + i] = kept * kept * P[3 + i, 3 + j] + fresh * ground[i, j]
+        if n > 3 + q:
+            P[n - 1, 3 + i] = P[3 + i, n - 1] = kept * P[n - 1, 3 + i]
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _store_cross(P: FloatArray, Z: FloatArray, kept: float, q: int, cross: FloatArray) -> None:
+    """P F^T, (n, n): rows of the state before, columns of the state after."""
+    n = len(P)
+    for i in range(n):
+        for j in range(3):
+            cross[i, j] = Z[j, i]
+        for j in range(3, n):
+            cross[i, j] = P[i, j] * (kept if j < 3 + q else 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _accept(x: FloatArray, setup: Setup, K: FloatArray, innovation: FloatArray) -> None:
+    """Move x by K (n, r) times the innovation (r,); the parameters stay inside their bounds (q, 2)."""
+    q = len(setup.free)
+    if setup.settings[ADAPT] == 0.0:
+        K[3 : 3 + q] = 0.0
+    for i in range(len(x)):
+        for k in range(len(innovation)):
+            x[i] += K[i, k] * innovation[k]
+    for m in range(q):
+        x[3 + m] = min(max(x[3 + m], setup.bounds[m, 0]), setup.bounds[m, 1])
+
+
+@njit(cache=True, error_model="numpy")
+def update_yaw_rate(
+    x: FloatArray,
+    P: FloatArray,
+    memory: FloatArray,
+    setup: Setup,
+    rate: float,
+    variance: float,
+    gain: FloatArray,
+) -> tuple[float, float, int]:
+    """Mean rate [rad/s] of a gyro over the last step, told right after it: turn / (scale dt) + bias.
+
+    ``gain`` (n,) receives the gain, zero where it is refused. Returns the innovation, its variance and a flag.
+    """
+    n, per_turn = len(x), 1.0 / (setup.settings[GYRO_SCALE] * memory[SINCE])
+    C = per_turn * memory[CROSS : CROSS + n] + P[:, n - 1]
+    S = (
+        variance
+        + per_turn * per_turn * memory[TURN_VARIANCE]
+        + 2.0 * per_turn * memory[CROSS + n - 1]
+        + P[n - 1, n - 1]
+    )
+    innovation = rate - per_turn * memory[TURNED] - x[n - 1]
+    memory[SINCE] = 0.0
+    gain[:] = 0.0
+    if not innovation * innovation <= setup.settings[GATES] * S:
+        return innovation, S, REFUSED_FLAG
+    K = (C / S).reshape(n, 1)
+    _accept(x, setup, K, np.array([innovation]))
+    for i in range(n):
+        gain[i] = K[i, 0]
+        for j in range(i + 1):
+            change = S * K[i, 0] * K[j, 0] - K[i, 0] * C[j] - C[i] * K[j, 0]
+            P[i, j] += change
+            P[j, i] = P[i, j]
+    return innovation, S, ACCEPTED_FLAG
+
+
+@njit(cache=True, error_model="numpy")
+def update_reference(
+    x: FloatArray,
+    P: FloatArray,
+    memory: FloatArray,
+    setup: Setup,
+    seen: FloatArray,
+    covariance: FloatArray,
+    stamp: float,
+    mount: FloatArray,
+) -> tuple[float, int]:
+    """A reference pose (3,), or position (2,), of a sensor mounted at (3,) on the robot.
+
+    Args:
+        x: (n,) in and out.
+        P: (n, n) in and out.
+        memory: (CROSS + n,) in and out.
+        setup: of the filter.
+        seen: (r,) with r = 3 or 2.
+        covariance: (r, r).
+        stamp: [s] standard deviation of its time.
+        mount: (3,) x, y [m], yaw [rad].
+
+    Returns:
+        The squared innovation and a flag.
+    """
+    r, settings = len(seen), setup.settings
+    c, s = math.cos(x[2]), math.sin(x[2])
+    lever = np.array([c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]])
+    foreseen = np.array([x[0] + lever[0], x[1] + lever[1], x[2] + mount[2]])[:r]
+    H = np.zeros((r, 3))
+    for k in range(r):
+        H[k, k] = 1.0
+    H[0, 2], H[1, 2] = -lever[1], lever[0]
+    innovation = seen - foreseen
+    if r == 3:
+        innovation[2] = _wrapped(innovation[2])
+    R = covariance + stamp * stamp * _motion_spread(x, memory, setup, lever)[:r, :r]
+    C, S = _seen_covariance(P, H, R)
+    K, squared = _gain(S, C, innovation)
+    if squared <= settings[GATES + r - 1]:
+        memory[REFUSED] = memory[AGREED] = memory[SINCE] = 0.0
+        _be_surprised(memory, settings, settings[SURPRISE_SHARE] * (squared / r - memory[SURPRISE]))
+        _accept(x, setup, K, innovation)
+        _joseph(P, K, H, R)
+        return squared, ACCEPTED_FLAG
+    _remember(memory, settings, seen, foreseen, S)
+    if memory[AGREED] < settings[PATIENCE] and memory[REFUSED] < settings[LOST]:
+        return squared, REFUSED_FLAG
+    alarm = settings[SURPRISE_LIMIT] - 1.0
+    _be_surprised(memory, settings, HASTE * alarm if memory[AGREED] >= settings[PATIENCE] else 2.0 * alarm)
+    memory[REFUSED] = memory[AGREED] = memory[SINCE] = 0.0
+    _anchor(x, P, innovation, R, lever)
+    return squared, ANCHORED_FLAG
+
+
+@njit(cache=True, error_model="numpy")
+def _wrapped(angle: float) -> float:
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True, error_model="numpy")
+def _seen_covariance(P: FloatArray, H: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance (n, r) of the state with what is foreseen, P H^T, and (r, r) of the innovation, H P H^T + R."""
+    n, r = len(P), len(H)
+    C, S = np.zeros((n, r)), R.copy()
+    for k in range(r):
+        for a in range(3):
+            for i in range(n):
+                C[i, k] += P[i, a] * H[k, a]
+    for k in range(r):
+        for j in range(r):
+            for a in range(3):
+                S[k, j] += H[k, a] * C[a, j]
+    return C, S
+
+
+@njit(cache=True, error_model="numpy")
+def _motion_spread(x: FloatArray, memory: FloatArray, setup: Setup, lever: FloatArray) -> FloatArray:
+    """Outer product (3, 3) of the sensor's velocity in the reference's frame: what a second of stamp error does."""
+    room, along = scratch(setup, 0), np.zeros(3)
+    if not math.isnan(memory[LEFT]):
+        _twist(x, setup, room, memory[LEFT], memory[RIGHT])
+        twist = room.twist
+        c, s = math.cos(x[2]), math.sin(x[2])
+        along[0] = c * twist[0] - s * twist[1] - twist[2] * lever[1]
+        along[1] = s * twist[0] + c * twist[1] + twist[2] * lever[0]
+        along[2] = twist[2]
+    return np.outer(along, along)
+
+
+@njit(cache=True, error_model="numpy")
+def _gain(S: FloatArray, C: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
+    """C S^-1 (n, r) and the squared innovation by S (r, r), through a Cholesky factor."""
+    L, K, squared = cholesky(S), C.copy(), 0.0
+    white = innovation.copy()
+    forward(L, white)
+    for k in range(len(S)):
+        squared += white[k] * white[k]
+    for i in range(len(C)):
+        forward(L, K[i])
+        backward(L, K[i])
+    return K, squared
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky(S: FloatArray) -> FloatArray:
+    """Lower factor (n, n) of a positive definite (n, n); NaN where it is none."""
+    n = len(S)
+    L = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            total = S[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = total / L[j, j] if j < i else (math.sqrt(total) if total > 0.0 else math.nan)
+    return L
+
+
+@njit(cache=True, error_model="numpy")
+def forward(L: FloatArray, b: FloatArray) -> None:
+    """Replace b (n,) by the solution of L y = b."""
+    for k in range(len(b)):
+        for j in range(k):
+            b[k] -= L[k, j] * b[j]
+        b[k] /= L[k, k]
+
+
+@njit(cache=True, error_model="numpy")
+def backward(L: FloatArray, b: FloatArray) -> None:
+    """Replace b (n,) by the solution of L^T y = b."""
+    for k in range(len(b) - 1, -1, -1):
+        for j in range(k + 1, len(b)):
+            b[k] -= L[j, k] * b[j]
+        b[k] /= L[k, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> None:
+    """P = (I - K H) P (I - K H)^T + K R K^T: right for any gain, positive for any rounding."""
+    n, r = K.shape
+    M, KR = np.zeros((n, 3)), np.zeros((n, r))  # M: the first three columns of I - K H; the others are those of I
+    for i in range(n):
+        for k in range(r):
+            for a in range(3):
+                M[i, a] -= K[i, k] * H[k, a]
+            for j in range(r):
+                KR[i, j] += K[i, k] * R[k, j]
+        if i < 3:
+            M[i, i] += 1.0
+    half = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            total = M[i, 0] * P[0, j] + M[i, 1] * P[1, j] + M[i, 2] * P[2, j]
+            half[i, j] = total + P[i, j] if i >= 3 else total
+    for i in range(n):
+        for j in range(i + 1):
+            total = half[i, 0] * M[j, 0] + half[i, 1] * M[j, 1] + half[i, 2] * M[j, 2]
+            if j >= 3:
+                total += half[i, j]
+            for k in range(r):
+                total += KR[i, k] * K[j, k]
+            P[i, j] = P[j, i] = total
+
+
+@njit(cache=True, error_model="numpy")
+def _be_surprised(memory: FloatArray, settings: FloatArray, more: float) -> None:
+    """Add to the running mean of the squared innovations over their dof; where it is too high the ground has changed."""
+    memory[SURPRISE] += more
+    if memory[SURPRISE] > settings[SURPRISE_LIMIT]:
+        memory[SURPRISE], memory[FRESH] = 1.0, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _remember(memory: FloatArray, settings: FloatArray, seen: FloatArray, foreseen: FloatArray, S: FloatArray) -> None:
+    """Count a refused reference, and how many in a row moved as the wheels say since the one before."""
+    r = len(seen)
+    agrees = False
+    if memory[REFUSED] > 0.0:
+        change = _since(seen, memory[SEEN : SEEN + r]) - _since(foreseen, memory[FORESEEN : FORESEEN + r])
+        if r == 3:
+            change[2] = _wrapped(change[2])
+            c, s = math.cos(seen[2]), math.sin(seen[2])
+            change[0], change[1] = c * change[0] - s * change[1], s * change[0] + c * change[1]
+        agrees = _gain(2.0 * S, S, change)[1] <= settings[GATES + r - 1]
+    memory[REFUSED] += 1.0
+    memory[AGREED] = memory[AGREED] + 1.0 if agrees else 1.0
+    memory[SEEN : SEEN + r] = seen
+    memory[FORESEEN : FORESEEN + r] = foreseen
+
+
+@njit(cache=True, error_model="numpy")
+def _since(now: FloatArray, before: FloatArray) -> FloatArray:
+    """Motion from one pose (3,) to another, seen from the first; of positions (2,) the difference."""
+    change = now - before
+    if len(now) == 3:
+        c, s = math.cos(before[2]), math.sin(before[2])
+        change[0], change[1] = c * change[0] + s * change[1], c * change[1] - s * change[0]
+    return change
+
+
+@njit(cache=True, error_model="numpy")
+def _anchor(x: FloatArray, P: FloatArray, innovation: FloatArray, R: FloatArray, lever: FloatArray) -> None:
+    """Put pose or position where the reference sees it, as if nothing had been known of it; all else stays."""
+    r, n = len(innovation), len(x)
+    turned = innovation[2] if r == 3 else 0.0
+    c, s = math.cos(turned), math.sin(turned)
+    turned_lever = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
+    for k in range(2):
+        x[k] += innovation[k] + lever[k] - turned_lever[k]
+    x[2] += turned
+    # With e the error of the reference, the new position errs by e - swing e_yaw; swing = (-l_y, l_x)
+    swing = np.array([-turned_lever[1], turned_lever[0]])
+    if r == 3:
+        for i in range(3):
+            P[i, :] = 0.0
+            P[:, i] = 0.0
+        P[2, 2] = R[2, 2]
+    for i in range(2, n):
+        for k in range(2):
+            with_reference = R[k, 2] if r == 3 and i == 2 else 0.0
+            P[k, i] = P[i, k] = with_reference - swing[k] * P[2, i]
+    for i in range(2):
+        for k in range(2):
+            between = swing[i] * R[k, 2] + swing[k] * R[i, 2] if r == 3 else 0.0
+            P[i, k] = R[i, k] - between + swing[i] * swing[k] * P[2, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def take_yaw_rate(
+    x: FloatArray, P: FloatArray, memory: FloatArray, flat: FloatArray, rate: float, variance: float
+) -> tuple[float, float, int]:
+    """``update_yaw_rate`` with a packed setup."""
+    return update_yaw_rate(x, P, memory, unpacked(flat), rate, variance, np.zeros(len(x)))
+
+
+@njit(cache=True, error_model="numpy")
+def take_reference(
+    x: FloatArray,
+    P: FloatArray,
+    memory: FloatArray,
+    flat: FloatArray,
+    seen: FloatArray,
+    covariance: FloatArray,
+    stamp: float,
+    mount: FloatArray,
+) -> tuple[float, int]:
+    """``update_reference`` with a packed setup."""
+    return update_reference(x, P, memory, unpacked(flat), seen, covariance, stamp, mount)
