@@ -236,6 +236,53 @@ def check(
 
 
 @app.command()
+def design(
+    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file with the robot's measures")],
+    area: Annotated[
+        str, typer.Option(metavar="LxW", help="[m] along the first heading, and across; start in its middle")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="write commands.csv, path.csv and path.svg there")],
+    minutes: Annotated[float, typer.Option(help="how long to drive")] = 3.0,
+    model: Annotated[str, typer.Option(metavar="NAME", help="model to determine")] = "scheduled_icr",
+    calibration: Annotated[Path | None, typer.Option(metavar="FILE", help="what is known of the robot")] = None,
+    reference_rate: Annotated[float, typer.Option(metavar="HZ", help="of the reference")] = 10.0,
+    position_noise: Annotated[float | None, typer.Option(metavar="M", help="of the reference, each axis")] = None,
+    yaw_noise: Annotated[float | None, typer.Option(metavar="DEG", help="of the reference")] = None,
+    max_speed: Annotated[
+        float | None, typer.Option(metavar="M/S", help="default: walking pace, or the wheels'")
+    ] = None,
+    max_omega: Annotated[float, typer.Option(metavar="RAD/S", help="highest yaw rate")] = 1.5,
+    max_acceleration: Annotated[float, typer.Option(metavar="M/S2", help="of the wheels")] = 1.5,
+    margin: Annotated[float, typer.Option(metavar="M", help="to keep from the edge of the area")] = 0.25,
+    seed: Annotated[int, typer.Option(help="of the robots and drivers imagined")] = 0,
+    json: Json = False,
+) -> None:
+    """The drive that determines a model best, as a table of commands, and the sigmas that it will give."""
+    from skidsteer import console, documents
+    from skidsteer.identify.design import design_drive, make_request
+    from skidsteer.identify.excursion import footprint_radius
+    from skidsteer.identify.manoeuvres import Limits
+    from skidsteer.io.calibration_file import load_calibration
+    from skidsteer.io.command_table import write_commands, write_path, write_picture
+    from skidsteer.io.folder import vehicle as find_vehicle
+
+    robot, known = find_vehicle(vehicle), None if calibration is None else load_calibration(calibration)
+    setup, request = make_request(
+        robot, area, minutes, model, known, reference_rate, position_noise, yaw_noise, margin, seed
+    )
+    limits = Limits.of(robot, max_speed, max_omega, max_acceleration)
+    with console.progress_bar() as report:
+        made = design_drive(setup, limits, request, known, report)
+    write_commands(_folder(out) / "commands.csv", made.commands, made.rims.values)
+    write_path(out / "path.csv", made.path)
+    write_picture(out / "path.svg", made.strokes, request.area, footprint_radius(robot))
+    if json:
+        typer.echo(documents.to_json(documents.design_document(made)))
+    else:
+        console.show_design(made)
+
+
+@app.command()
 def sample(
     name: Annotated[str | None, typer.Argument(help="which; none: list them")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write")] = None,

@@ -19,6 +19,7 @@ from skidsteer.evaluation import Evaluation
 from skidsteer.identify.calibrate import Progress as Report
 from skidsteer.identify.circle_calibration import CircleCalibration
 from skidsteer.identify.circle_test import SideResult
+from skidsteer.identify.design import Design
 from skidsteer.identify.select import Excess, Selection
 
 if TYPE_CHECKING:
@@ -244,3 +245,41 @@ def _show_verdict(verdict: Observability | str) -> None:
 def _times(where: Sequence[tuple[float, float]]) -> str:
     shown = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in where[:3])
     return shown if len(where) <= 3 else f"{shown} and {len(where) - 3} more"
+
+
+def show_design(design: Design) -> None:
+    """What to drive, and what it will tell beside an unplanned drive."""
+    table = Table("start", "time", "manoeuvre", box=None, pad_edge=False)
+    for start, duration, figure in design.schedule:
+        table.add_row(f"{start:.1f} s", f"{duration:.1f} s", figure.words())
+    for column in table.columns[:2]:
+        column.justify = "right"
+    vehicle, area, reach = design.setup.vehicle, design.request.area, design.excursion
+    OUT.print(
+        f"[bold]{escape(vehicle.name)}[/bold]: {design.duration:.0f} s for {design.setup.model.NAME}, start in the"
+    )
+    OUT.print(f"middle of {area[0]:g} x {area[1]:g} m, facing along the first side, and drive:")
+    OUT.print(table)
+    OUT.print(_told(design))
+    OUT.print(
+        f"19 of 20 robots like this stay within {reach.x:.1f} m ahead and behind, {reach.y:.1f} m to the sides of the"
+        f" start, and end within {reach.end:.1f} m of it. Keep a hand at the stop button."
+    )
+    OUT.print(
+        "commands.csv is for a controller that turns v and omega into wheel speeds with a track width of"
+        f" {design.controller_width:.3f} m; for another, play its v_left and v_right."
+    )
+
+
+def _told(design: Design) -> Table:
+    units = {p.name: p.unit for p in design.setup.model.PARAMETERS}
+    table = Table("parameter", "sigma", "unplanned", "share", "unit", box=None, pad_edge=False)
+    table.title, table.title_justify = "predicted sigmas, beside those of an unplanned drive of equal length", "left"
+    for name, sigma in design.sigmas.items():
+        other = design.unplanned[name]
+        table.add_row(
+            escape(name), f"{sigma:.2g}", f"{other:.2g}", f"{100 * sigma / other:.0f} %", units.get(name, "s")
+        )
+    for column in table.columns[1:4]:
+        column.justify = "right"
+    return table

@@ -14,6 +14,7 @@ from skidsteer.drive import Drive
 from skidsteer.evaluation import Evaluation
 from skidsteer.identify.circle_calibration import CircleCalibration
 from skidsteer.identify.circle_test import SideResult, SurfaceResult
+from skidsteer.identify.design import Design
 from skidsteer.identify.select import Selection
 
 if TYPE_CHECKING:
@@ -111,6 +112,29 @@ def check_document(
         "not_judged_because": verdict if isinstance(verdict, str) else None,
         "topics": [] if topics is None else [asdict(t) for t in topics.topics],
         "notes": [] if topics is None else list(topics.notes),
+    }
+
+
+def design_document(design: Design) -> Document:
+    """What ``design --json`` prints."""
+    units = {p.name: p.unit for p in design.setup.model.PARAMETERS}
+    return {
+        "vehicle": design.setup.vehicle.name,
+        "model": design.setup.model.NAME,
+        "area_m": list(design.request.area),
+        "duration_s": design.duration,
+        "manoeuvres": [
+            {"start_s": start, "duration_s": duration, "what": figure.words()}
+            for start, duration, figure in design.schedule
+        ],
+        "predicted": {
+            name: {"sigma": sigma, "unplanned_sigma": design.unplanned[name], "unit": units.get(name, "s")}
+            for name, sigma in design.sigmas.items()
+        },
+        "reaches_m": asdict(design.excursion),
+        "controller_width_m": design.controller_width,
+        "limits": asdict(design.limits),
+        "noise": asdict(design.setup.noise),
     }
 
 
