@@ -483,7 +483,7 @@ def _joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _be_surprised(memory: FloatArray, settings: FloatArray, more: float) -> None:
-    """Add to the running mean of the squared innovations over their dof; where it is too high the ground has changed."""
+    """Add to the running mean of the squared innovations over their dof; too high, and the ground has changed."""
     memory[SURPRISE] += more
     if memory[SURPRISE] > settings[SURPRISE_LIMIT]:
         memory[SURPRISE], memory[FRESH] = 1.0, 1.0
