@@ -57,7 +57,7 @@ def reference_solution(made: Robot, terrain: Terrain, commands: Series, end: flo
         twist = np.array([z[3] + z[5] * y, z[4] - z[5] * x, z[5]])  # of the origin
         rims = np.clip(z[6:], -1.0, 1.0)
         loads = made.loads([0.0, 0.0])
-        unit = unit_forces(made, twist, rims, terrain.shear_modulus)[..., 0] * friction(terrain, rims)
+        unit = unit_forces(made, terrain, twist, rims)[..., 0] * friction(terrain, rims)
         force = loads @ (unit + rolling_forces(made, terrain, twist, np.ones(4))[0])
         moment = force[2] - x * force[1] + y * force[0]
         v_x = force[0] / made.mass + z[5] * z[4]

@@ -23,6 +23,7 @@ LAB = TERRAINS["lab"]
 P3AT = wang_robot()
 SIX = robot(replace(preset("husky-a200"), wheels=6), com_x=0.04, com_y=-0.03)
 K = LAB.shear_modulus
+SOFT = replace(LAB, shear_modulus=0.02, lateral_shear_modulus=0.05)
 
 speeds = st.floats(-1.0, 1.0)
 twists = st.tuples(speeds, speeds, st.floats(-2.0, 2.0))
@@ -49,8 +50,8 @@ def chord_force(twist: FloatArray, rim: float, place: FloatArray, shear_modulus:
 @pytest.mark.parametrize("shear_modulus", [0.0054, 0.05])
 def test_forces_are_the_integrals_of_the_paper(shear_modulus: float) -> None:
     """Every parameter differs from zero; wheels turn opposite ways. What differs is of order (omega T)^2."""
-    twist, rims = np.array([0.11, -0.03, 0.9]), (-0.2, 0.45)
-    ours = unit_forces(P3AT, twist, rims, shear_modulus, Quadrature(16, 6))[..., 0]
+    twist, rims, ground = np.array([0.11, -0.03, 0.9]), (-0.2, 0.45), replace(LAB, shear_modulus=shear_modulus)
+    ours = unit_forces(P3AT, ground, twist, rims, Quadrature(16, 6))[..., 0]
     for wheel in (0, 3):  # front left, rear right
         rim = rims[P3AT.side[wheel]]
         expected = chord_force(twist, rim, P3AT.places[wheel], shear_modulus)
@@ -69,15 +70,34 @@ def test_sliding_without_turning_by_hand() -> None:
         assert_allclose(forces[wheel, :2], expected, rtol=2e-4)
 
 
+def test_sliding_on_tyres_soft_sideways_by_hand() -> None:
+    """The part exp(-z) of the stress, z = T (s_x / K, s_y / K_y), points against the latter, the rest against s."""
+    ground = replace(LAB, lateral_shear_modulus=0.0013)
+    forces = unit_forces(P3AT, ground, [0.41, 0.03, 0.0], [0.4, 0.45])[..., 0]
+    for wheel, rim in ((1, 0.4), (3, 0.45)):
+        slip = np.array([0.41 - rim, 0.03])
+        elastic = slip / [K, 0.0013]
+        a = np.hypot(*elastic) * 0.035 / rim
+        once, twice = -np.expm1(-a) / a, -np.expm1(-2.0 * a) / (2.0 * a)  # means of exp(-z) and of its square
+        expected = -(once - twice) * elastic / np.hypot(*elastic) - (1.0 - 2.0 * once + twice) * slip / np.hypot(*slip)
+        assert_allclose(forces[wheel, :2], expected, rtol=3e-4)
+
+
+def test_equal_stiffness_is_the_paper() -> None:
+    twist, rims = [0.11, -0.03, 0.9], [-0.2, 0.45]
+    same = unit_forces(P3AT, replace(LAB, lateral_shear_modulus=K), twist, rims)
+    assert_allclose(same, unit_forces(P3AT, LAB, twist, rims), rtol=1e-12)
+
+
 def test_a_stiff_ground_gives_coulomb_friction() -> None:
-    forces = unit_forces(P3AT, [0.3, 0.1, 0.0], [0.2, 0.5], 1e-9)[..., 0]
+    forces = unit_forces(P3AT, replace(LAB, shear_modulus=1e-9), [0.3, 0.1, 0.0], [0.2, 0.5])[..., 0]
     for wheel, slip in ((0, [0.1, 0.1]), (3, [-0.2, 0.1])):
         assert_allclose(forces[wheel, :2], -np.array(slip) / np.hypot(*slip), rtol=1e-4)
 
 
 def test_forces_scale_with_load_and_friction() -> None:
     twist, rims, loads = [0.1, 0.05, 0.6], [-0.1, 0.3], np.array([40.0, 50.0, 60.0, 154.11])
-    unit = unit_forces(P3AT, twist, rims, K)[..., 0]
+    unit = unit_forces(P3AT, LAB, twist, rims)[..., 0]
     assert_allclose(wheel_forces(P3AT, LAB, twist, rims, loads), unit * (loads * 0.3093)[:, None])
     assert_allclose(
         friction(LAB, [[0.1, 0.2], [-0.1, -0.2], [0.1, -0.2], [0.0, 0.3]]), [0.4437, 0.4437, 0.3093, 0.4437]
@@ -88,7 +108,7 @@ def test_forces_scale_with_load_and_friction() -> None:
 def test_sliding_only_takes_power(twist: tuple[float, float, float], left: float, right: float) -> None:
     """What the rims put in is no less than what the body gets."""
     rims = np.array([left, right])
-    forces = wheel_forces(SIX, LAB, twist, rims)
+    forces = wheel_forces(SIX, SOFT, twist, rims)
     put_in = forces[:, 0] @ rims[SIX.side]
     assert forces.sum(axis=0) @ twist <= put_in + 1e-9
     rolling, _ = rolling_forces(SIX, LAB, twist)
@@ -97,8 +117,9 @@ def test_sliding_only_takes_power(twist: tuple[float, float, float], left: float
 
 @given(twists, speeds, speeds)
 def test_the_mirror_image_has_the_forces_mirrored(twist: tuple[float, float, float], left: float, right: float) -> None:
-    forces = unit_forces(P3AT, twist, [left, right], K)[..., 0]
-    mirrored = unit_forces(P3AT, np.array(twist) * [1, -1, -1], [right, left], K)[..., 0]
+    ground = replace(LAB, lateral_shear_modulus=0.003)
+    forces = unit_forces(P3AT, ground, twist, [left, right])[..., 0]
+    mirrored = unit_forces(P3AT, ground, np.array(twist) * [1, -1, -1], [right, left])[..., 0]
     assert_allclose(mirrored[[2, 3, 0, 1]] * [1, -1, -1], forces, atol=1e-9)
 
 
@@ -106,10 +127,10 @@ def test_the_mirror_image_has_the_forces_mirrored(twist: tuple[float, float, flo
 @given(twists, st.floats(0.02, 1.0), st.floats(-1.0, -0.02))
 def test_derivatives_are_finite_differences(twist: tuple[float, float, float], left: float, right: float) -> None:
     z, h = np.array([*twist, left, right]), 1e-7
-    forces = unit_forces(P3AT, z[:3], z[3:], 0.02)
+    forces = unit_forces(P3AT, SOFT, z[:3], z[3:])
     for k in range(5):
         step = h * np.eye(5)[k]
-        after, before = (unit_forces(P3AT, (z + d)[:3], (z + d)[3:], 0.02)[..., 0] for d in (step, -step))
+        after, before = (unit_forces(P3AT, SOFT, (z + d)[:3], (z + d)[3:])[..., 0] for d in (step, -step))
         own = forces[..., 1 + min(k, 3)] * (1.0 if k < 3 else (P3AT.side == k - 3)[:, None])
         slide = np.hypot(z[0] - z[2] * P3AT.places[:, 1] - z[3:][P3AT.side], z[1] + z[2] * P3AT.places[:, 0])
         smooth = slide > 0.1 + 0.1 * abs(z[2])  # no node slides as slowly as the differences' steps
@@ -130,8 +151,10 @@ def test_the_nodes_are_as_accurate_as_the_documentation_says() -> None:
     rng = np.random.default_rng(1)
     twist = rng.normal(size=(200, 3)) * [0.3, 0.1, 0.6]
     rims = twist[:, :1] + twist[:, 2:] * [-0.29, 0.29] + rng.normal(scale=0.02, size=(200, 2))
-    fine = unit_forces(P3AT, twist, rims, K, Quadrature(60, 30))[..., 0]
-    error = [np.abs(unit_forces(P3AT, twist, rims, K, Quadrature(n, m))[..., :2, 0] - fine[..., :2]) for n, m in NODES]
+    fine = unit_forces(P3AT, LAB, twist, rims, Quadrature(60, 30))[..., 0]
+    error = [
+        np.abs(unit_forces(P3AT, LAB, twist, rims, Quadrature(n, m))[..., :2, 0] - fine[..., :2]) for n, m in NODES
+    ]
     assert [float(np.sqrt((e**2).mean())) < limit for e, limit in zip(error, (2e-3, 5e-4), strict=True)] == [True] * 2
 
 
@@ -139,9 +162,9 @@ NODES = ((8, 3), (16, 6))
 
 
 def test_a_wheel_that_does_not_turn_slides_with_full_friction() -> None:
-    forces = unit_forces(P3AT, [0.2, 0.1, 0.0], [0.0, 0.0], K)[..., 0]
+    forces = unit_forces(P3AT, LAB, [0.2, 0.1, 0.0], [0.0, 0.0])[..., 0]
     assert_allclose(forces[:, :2], np.tile(-np.array([0.2, 0.1]) / np.hypot(0.2, 0.1), (4, 1)), rtol=1e-3)
-    assert_allclose(unit_forces(P3AT, [0.0, 0.0, 0.0], [0.0, 0.0], K)[..., 0], 0.0)
+    assert_allclose(unit_forces(P3AT, LAB, [0.0, 0.0, 0.0], [0.0, 0.0])[..., 0], 0.0)
 
 
 # Rolling resistance
@@ -189,7 +212,7 @@ def test_the_table_of_the_paper() -> None:
     assert (P3AT.patch_length, P3AT.patch_width) == (pytest.approx(0.035), 0.05)
     assert (P3AT.mass, P3AT.vehicle.track_width, P3AT.vehicle.wheel_radius) == (31.0, 0.40, 0.11)
     assert_allclose(P3AT.loads([3.0, 3.0]), 31.0 * 9.81 / 4.0)  # p = m g / 2 (L - C) b, whatever happens
-    assert_allclose(LAB.numbers(), [0.4437, 0.3093, 0.00054, 0.0371])
+    assert_allclose(LAB.numbers(), [0.4437, 0.3093, 0.00054, 0.0371, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -209,6 +232,7 @@ def test_the_table_of_the_paper() -> None:
         (lambda: robot(replace(preset("jackal"), wheels=3)), "needs an even number of wheels from 4 on"),
         (lambda: replace(LAB, friction=0.0), "^terrain lab: friction must be above 0, got 0.0$"),
         (lambda: replace(LAB, shear_modulus=-1.0), "^terrain lab: shear_modulus must be above 0, got -1.0$"),
+        (lambda: replace(LAB, lateral_shear_modulus=0.0), "lateral_shear_modulus must be above 0, got 0.0"),
         (lambda: replace(LAB, rolling_resistance=-0.1), "^terrain lab: rolling_resistance must be at least 0"),
         (lambda: replace(LAB, friction_opposite=np.nan), "friction_opposite must be above 0, got nan"),
         (lambda: terrain("mud"), "^no terrain 'mud'; there are: lab, asphalt, .*ice$"),

@@ -2,7 +2,9 @@
 
 An element of a patch that has been in contact for the time T has slid by j = T |s|, s its mean sliding velocity since
 it came in. Its stress is p mu (1 - exp(-j / K)) against the direction in which it slides now, Wang 2015, Eqs.
-(17)-(21).
+(17)-(21). That is so where the ground (and the tyre) are as stiff sideways as lengthwise. Where they are not, j / K is
+the length of (j_x / K, j_y / K_y), and the share exp(-j / K) of the stress, which is still elastic, points against
+(s_x / K, s_y / K_y).
 """
 
 from __future__ import annotations
@@ -26,7 +28,14 @@ DONE, LIFTED, FAILED = 0, 1, 2  # how ``drive`` ended
 
 @njit(cache=True, fastmath={"contract", "nsz"})
 def _wheel(
-    u: FloatArray, rim: float, place: FloatArray, patch: FloatArray, K: float, along: FloatArray, across: FloatArray
+    u: FloatArray,
+    rim: float,
+    place: FloatArray,
+    patch: FloatArray,
+    K: float,
+    ratio: float,
+    along: FloatArray,
+    across: FloatArray,
 ) -> FloatArray:
     """Shear force of one wheel for each newton of load times friction, and its derivatives.
 
@@ -35,7 +44,8 @@ def _wheel(
         rim: [m/s] of the wheel.
         place: (2,) [m] of the patch's centre.
         patch: (2,) [m] length and width.
-        K: [m] shear modulus.
+        K: [m] shear modulus along the wheel.
+        ratio: of K to that across.
         along: (n, 2) nodes from the edge where the ground comes in, in patch lengths, and weights.
         across: (m, 2) nodes from the middle, in patch widths, and weights.
 
@@ -55,15 +65,23 @@ def _wheel(
             y = place[1] + patch[1] * across[k, 0]
             w = along[i, 1] * across[k, 1]
             a = u[0] - u[2] * y - rim
-            S, M = math.sqrt(a * a + b * b + CREEP**2), math.sqrt(a * a + c * c + CREEP**2)
+            e, d = ratio * b, ratio * c
+            S, W = math.sqrt(a * a + b * b + CREEP**2), math.sqrt(a * a + e * e + CREEP**2)
+            M = math.sqrt(a * a + d * d + CREEP**2)
             E = math.exp(-T * M / K)
-            g = (1.0 - E) / S
-            p, q = E * T / (K * M * S), g / (S * S)
-            by_a, by_b, by_c, by_T = a * (p - q), -b * q, c * p, E * M / (K * S)
-            by_v, by_omega = by_b + by_c, -y * by_a + x * by_b + middle * by_c
-            by_rim = -by_a + by_T * T_by_rim
-            fx, fx_a, fx_v, fx_o, fx_r = -w * a * g, a * by_a + g, a * by_v, a * by_omega - g * y, a * by_rim - g
-            fy, fy_a, fy_v, fy_o, fy_r = -w * b * g, b * by_a, b * by_v + g, b * by_omega + g * x, b * by_rim
+            D = 1.0 - E
+            elastic, sliding = D * E / W, D * D / S
+            gx, gy = elastic + sliding, ratio * elastic + sliding
+            gx_E, gy_E = (1.0 - 2.0 * E) / W - 2.0 * D / S, ratio * (1.0 - 2.0 * E) / W - 2.0 * D / S
+            E_a, E_c, E_T = -E * T * a / (K * M), -E * T * ratio * d / (K * M), -E * M / K
+            p, q = elastic / (W * W), sliding / (S * S)
+            gx_a, gx_b, gx_c = gx_E * E_a - a * (p + q), -ratio * e * p - b * q, gx_E * E_c
+            gy_a, gy_b, gy_c = gy_E * E_a - a * (ratio * p + q), -(ratio**2) * e * p - b * q, gy_E * E_c
+            rim_T = E_T * T_by_rim
+            fx, fx_a, fx_v = -w * a * gx, a * gx_a + gx, a * (gx_b + gx_c)
+            fx_o, fx_r = a * (x * gx_b + middle * gx_c) - y * fx_a, a * gx_E * rim_T - fx_a
+            fy, fy_a, fy_v = -w * b * gy, b * gy_a, b * (gy_b + gy_c) + gy
+            fy_o, fy_r = b * (x * gy_b + middle * gy_c) + x * gy - y * fy_a, b * gy_E * rim_T - fy_a
             out[0, 0] += fx
             out[1, 0] += fy
             out[2, 0] += x * fy - y * fx
@@ -89,6 +107,7 @@ def shear(
     places: FloatArray,
     patch: FloatArray,
     K: float,
+    ratio: float,
     along: FloatArray,
     across: FloatArray,
 ) -> FloatArray:
@@ -96,7 +115,7 @@ def shear(
     out = np.empty((len(twists), len(places), 3, 5))
     for n in range(len(twists)):
         for i in range(len(places)):
-            out[n, i] = _wheel(twists[n], rims[n, i], places[i], patch, K, along, across)
+            out[n, i] = _wheel(twists[n], rims[n, i], places[i], patch, K, ratio, along, across)
     return out
 
 
@@ -145,7 +164,7 @@ def _ground_forces(
         z: (5,).
         places: (w, 2) [m].
         loads: (w,) [N].
-        ground: (w, 3) friction, K, rolling resistance under each wheel.
+        ground: (w, 4) friction, K, rolling resistance, ratio of K to that across under each wheel.
         body: (10,), as for ``drive``.
         along: nodes, as for ``_wheel``.
         across: nodes, as for ``_wheel``.
@@ -157,7 +176,7 @@ def _ground_forces(
     drag[0] = 0.0
     for i in range(len(places)):
         side = 3 if places[i, 1] > 0.0 else 4
-        f = _wheel(z, z[side], places[i], body[8:10], ground[i, 1], along, across)
+        f = _wheel(z, z[side], places[i], body[8:10], ground[i, 1], ground[i, 3], along, across)
         strength = loads[i] * ground[i, 0]
         for r in range(3):
             for k in range(4):
@@ -285,7 +304,7 @@ def _under(
     terrains: FloatArray,
     ground: FloatArray,
 ) -> None:
-    """Friction, K and rolling resistance (w, 3) under each wheel: the last of the areas that holds it now."""
+    """Fill ``ground`` (w, 4) of ``_ground_forces``: the last of the areas that holds it now."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(places)):
         x = pose[0] + c * places[i, 0] - s * places[i, 1]
@@ -294,7 +313,7 @@ def _under(
             a = bounds[k]
             if a[0] <= t < a[1] and a[2] <= x < a[3] and a[4] <= y < a[5]:
                 ground[i, 0] = terrains[k, 1] if opposite else terrains[k, 0]
-                ground[i, 1], ground[i, 2] = terrains[k, 2], terrains[k, 3]
+                ground[i, 1], ground[i, 2], ground[i, 3] = terrains[k, 2], terrains[k, 3], terrains[k, 4]
 
 
 @njit(cache=True)
@@ -337,8 +356,8 @@ def drive(
         body: (10,) mass [kg], yaw inertia [kg m^2], centre of mass x, y and height [m], mass that the rims of a side
             feel [kg], lag of the speed loop [s], force of a side [N], patch length and width [m].
         bounds: (k, 6) of areas: t, x, y from, to. The first must hold everywhere.
-        terrains: (k, 4) of the areas: friction of wheels turning the same and the opposite way, K [m], rolling
-            resistance.
+        terrains: (k, 5) of the areas: friction of wheels turning the same and the opposite way, K [m], rolling
+            resistance, ratio of K to that across.
         along: nodes, as for ``_wheel``.
         across: nodes, as for ``_wheel``.
         poses: out, (n, 3).
@@ -349,7 +368,7 @@ def drive(
         How it ended, at which index of t, and which wheel lifted off.
     """
     pose, z = start[:3].copy(), start[3:].copy()
-    loads, ground = np.empty(len(places)), np.zeros((len(places), 3))
+    loads, ground = np.empty(len(places)), np.zeros((len(places), 4))
     total, drag, was = np.zeros((5, 6)), np.zeros(1), np.empty(5)
     poses[0], states[0], power[0] = pose, z, 0.0
     _share_load(places, body, 0.0, 0.0, loads)

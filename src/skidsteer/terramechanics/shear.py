@@ -57,15 +57,15 @@ def friction(terrain: Terrain, rims: ArrayLike) -> FloatArray:
 
 
 def unit_forces(
-    robot: Robot, twist: ArrayLike, rims: ArrayLike, shear_modulus: float, quadrature: Quadrature = NODES
+    robot: Robot, terrain: Terrain, twist: ArrayLike, rims: ArrayLike, quadrature: Quadrature = NODES
 ) -> FloatArray:
     """Shear force of each wheel for a load of 1 N and friction 1, with its derivatives.
 
     Args:
         robot: that moves.
+        terrain: under all wheels.
         twist: (..., 3) of the body [m/s, m/s, rad/s].
         rims: (..., 2) left and right rim speed [m/s].
-        shear_modulus: [m] K.
         quadrature: over each patch.
 
     Returns:
@@ -77,7 +77,8 @@ def unit_forces(
     flat = np.ascontiguousarray(np.broadcast_to(twist, (*shape, 3)).reshape(-1, 3))
     speeds = np.broadcast_to(rims, (*shape, 2)).reshape(-1, 2)[:, robot.side]
     patch = np.array([robot.patch_length, robot.patch_width])
-    forces = kernels.shear(flat, speeds, robot.places, patch, shear_modulus, *quadrature.nodes())
+    stiffness = (terrain.shear_modulus, terrain.stiffness_ratio)
+    forces = kernels.shear(flat, speeds, robot.places, patch, *stiffness, *quadrature.nodes())
     return np.asarray(forces.reshape(*shape, len(robot.places), 3, 5))
 
 
@@ -99,7 +100,7 @@ def wheel_forces(
         loads: (..., w) [N]; None: those at rest.
         quadrature: over each patch.
     """
-    forces = unit_forces(robot, twist, rims, terrain.shear_modulus, quadrature)[..., 0]
+    forces = unit_forces(robot, terrain, twist, rims, quadrature)[..., 0]
     loads = robot.loads((0.0, 0.0)) if loads is None else np.asarray(loads, dtype=float)
     return np.asarray(forces * (loads * friction(terrain, rims)[..., None])[..., None])
 

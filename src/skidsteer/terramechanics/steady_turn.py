@@ -140,7 +140,7 @@ def _start(robot: Robot, rims: FloatArray) -> FloatArray:
 def _balance(robot: Robot, terrain: Terrain, twist: FloatArray, rims: FloatArray, quadrature: Quadrature) -> _Balance:
     acceleration, by_twist = _centripetal(robot, twist)
     loads, per_load = robot.loads(acceleration), robot.load_slopes() @ by_twist  # (n, w), (n, w, 3)
-    unit = unit_forces(robot, twist, rims, terrain.shear_modulus, quadrature)[..., :4]
+    unit = unit_forces(robot, terrain, twist, rims, quadrature)[..., :4]
     unit = unit * friction(terrain, rims)[:, None, None, None]
     rolling, rolling_slope = rolling_forces(robot, terrain, twist, np.ones_like(loads))
     force, slope = unit[..., 0] + rolling, unit[..., 1:] + rolling_slope  # for each newton of load

@@ -15,7 +15,10 @@ from skidsteer.se2 import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Terrain:
-    """Four numbers of a firm ground, Wang 2015, Table 1, after Yu 2010 and Wong 2001.
+    """Numbers of a firm ground, Wang 2015, Table 1, after Yu 2010 and Wong 2001; and one that is ours.
+
+    ``lateral_shear_modulus`` stands for tyres that give way more easily sideways than lengthwise. Where it is above
+    ``shear_modulus``, turns slip the less the wider they are; the paper has one modulus only.
 
     Raises:
         RequestError: friction or shear modulus not above zero, or a negative rolling resistance.
@@ -26,12 +29,13 @@ class Terrain:
     friction_opposite: float  # mu_op: while they turn opposite ways
     shear_modulus: float  # [m] K: sliding after which 63 % of the friction is reached
     rolling_resistance: float = 0.0  # share of the load that opposes the motion of a hub, Eq. (22)
+    lateral_shear_modulus: float | None = None  # [m] across the wheel; None: the same
     source: str = ""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name in ("name", "source"):
+            if field.name in ("name", "source") or value is None:
                 continue
             least = 0.0 if field.name == "rolling_resistance" else math.ulp(0.0)
             if not least <= value < math.inf:
@@ -39,8 +43,15 @@ class Terrain:
                 raise RequestError(f"terrain {self.name}: {field.name} must be {need}, got {value}")
 
     def numbers(self) -> FloatArray:
-        """The four numbers (4,), in the order of the fields."""
-        return np.array([self.friction, self.friction_opposite, self.shear_modulus, self.rolling_resistance])
+        """Numbers (5,) in the order of `kernels.ground.drive`."""
+        own = (self.friction, self.friction_opposite, self.shear_modulus, self.rolling_resistance)
+        return np.array([*own, self.stiffness_ratio])
+
+    @property
+    def stiffness_ratio(self) -> float:
+        """Shear modulus along over that across the wheel."""
+        across = self.lateral_shear_modulus
+        return 1.0 if across is None else self.shear_modulus / across
 
 
 NOON = "friction: Noon 1994, Engineering Analysis of Vehicular Accidents; "
@@ -48,13 +59,13 @@ ASSUMED = "shear modulus and rolling resistance assumed"
 TERRAINS: dict[str, Terrain] = {
     terrain.name: terrain
     for terrain in (
-        Terrain("lab", 0.4437, 0.3093, 0.00054, 0.0371, "Wang 2015, Table 1: a tiled floor, numbers of Yu 2010"),
-        Terrain("asphalt", 0.65, 0.65, 0.001, 0.04, f"{NOON}{ASSUMED}"),
-        Terrain("concrete", 0.75, 0.75, 0.001, 0.03, f"{NOON}{ASSUMED}"),
-        Terrain("grass", 0.45, 0.45, 0.003, 0.08, "all assumed; Noon 1994 has 0.2 for a wet, grassy field"),
-        Terrain("gravel", 0.35, 0.35, 0.005, 0.06, f"{NOON}{ASSUMED}"),
-        Terrain("wet-sand", 0.60, 0.60, 0.010, 0.10, "all assumed; Wong 2001 has K = 0.01 m for firm sand"),
-        Terrain("ice", 0.10, 0.10, 0.001, 0.015, f"{NOON}{ASSUMED}"),
+        Terrain("lab", 0.4437, 0.3093, 0.00054, 0.0371, None, "Wang 2015, Table 1: a tiled floor, numbers of Yu 2010"),
+        Terrain("asphalt", 0.65, 0.65, 0.001, 0.04, None, f"{NOON}{ASSUMED}"),
+        Terrain("concrete", 0.75, 0.75, 0.001, 0.03, None, f"{NOON}{ASSUMED}"),
+        Terrain("grass", 0.45, 0.45, 0.003, 0.08, None, "all assumed; Noon 1994 has 0.2 for a wet, grassy field"),
+        Terrain("gravel", 0.35, 0.35, 0.005, 0.06, None, f"{NOON}{ASSUMED}"),
+        Terrain("wet-sand", 0.60, 0.60, 0.010, 0.10, None, "all assumed; Wong 2001 has K = 0.01 m for firm sand"),
+        Terrain("ice", 0.10, 0.10, 0.001, 0.015, None, f"{NOON}{ASSUMED}"),
     )
 }
 
@@ -124,5 +135,5 @@ class Ground:
         return np.array(limits)
 
     def numbers(self) -> FloatArray:
-        """The numbers of their terrains (k, 4)."""
+        """The numbers of their terrains (k, 5)."""
         return np.array([self.everywhere.numbers(), *(area.terrain.numbers() for area in self.areas)])
