@@ -235,7 +235,7 @@ def test_the_table_of_the_paper() -> None:
         (lambda: replace(LAB, lateral_shear_modulus=0.0), "lateral_shear_modulus must be above 0, got 0.0"),
         (lambda: replace(LAB, rolling_resistance=-0.1), "^terrain lab: rolling_resistance must be at least 0"),
         (lambda: replace(LAB, friction_opposite=np.nan), "friction_opposite must be above 0, got nan"),
-        (lambda: terrain("mud"), "^no terrain 'mud'; there are: lab, asphalt, .*ice$"),
+        (lambda: terrain("mud"), "^no terrain 'mud'; there are: lab, tiles, .*ice$"),
         (lambda: Area(LAB, x=(1.0, 1.0)), "^area of lab: x must begin before it ends, got 1.0, 1.0$"),
     ],
 )
@@ -253,7 +253,7 @@ def test_a_quadrature_needs_nodes() -> None:
 
 
 def test_every_terrain_says_where_its_numbers_come_from() -> None:
-    assert set(TERRAINS) == {"lab", "asphalt", "concrete", "grass", "gravel", "wet-sand", "ice"}
+    assert set(TERRAINS) == {"lab", "tiles", "asphalt", "concrete", "grass", "gravel", "wet-sand", "ice"}
     for name, ground in TERRAINS.items():
         assert ground.name == name
         assert "assumed" in ground.source or "Wang 2015" in ground.source

@@ -175,6 +175,16 @@ def test_the_curve_of_the_paper() -> None:
     assert np.ptp(without) < 2e-3  # then nothing is left of the fall
 
 
+def test_tyres_soft_sideways_give_the_fall_that_was_measured() -> None:
+    """Wheels that hardly slip hold the less sideways the softer they are there; wheels that slip do not care."""
+    speeds = rims_on_path(RATIOS[:, None], np.linspace(0.1, 0.5, 5))
+    chi = steady_turn(P3AT, TERRAINS["tiles"], speeds[..., 0], speeds[..., 1]).icr_coefficient.mean(axis=1)
+    assert_allclose(chi[[0, *range(2, 8)]], np.array(TABLE_3)[[0, *range(2, 8)]], atol=0.016)
+    assert (np.diff(chi[2:]) < -0.003).all()
+    same = replace(TERRAINS["tiles"], lateral_shear_modulus=None)
+    assert np.ptp(on_path(P3AT, same, RATIOS, SLOW).icr_coefficient) < 2e-3
+
+
 def test_what_the_nodes_leave_of_accuracy() -> None:
     rims = rims_on_path(RATIOS, 0.3)
     fine = steady_turn(P3AT, LAB, *rims.T, Quadrature(60, 20)).icr_coefficient

@@ -60,6 +60,7 @@ TERRAINS: dict[str, Terrain] = {
     terrain.name: terrain
     for terrain in (
         Terrain("lab", 0.4437, 0.3093, 0.00054, 0.0371, None, "Wang 2015, Table 1: a tiled floor, numbers of Yu 2010"),
+        Terrain("tiles", 0.4437, 0.3093, 0.00054, 0.0, 0.00125, "lab, with two numbers fitted to Wang 2015, Table 3"),
         Terrain("asphalt", 0.65, 0.65, 0.001, 0.04, None, f"{NOON}{ASSUMED}"),
         Terrain("concrete", 0.75, 0.75, 0.001, 0.03, None, f"{NOON}{ASSUMED}"),
         Terrain("grass", 0.45, 0.45, 0.003, 0.08, None, "all assumed; Noon 1994 has 0.2 for a wet, grassy field"),
