@@ -30,14 +30,13 @@ class Setup(NamedTuple):
 
 # Places in ``settings``
 KIND, TRACK, LAG, WALK, TURN, REACH, BIAS_WALK, GYRO_SCALE, LONGEST, GAP_WALK, GAP_TURN = range(11)
-GATES, SURPRISE_SHARE, SURPRISE_LIMIT, PATIENCE, LOST, ADAPT = 11, 14, 15, 16, 17, 18
-SETTINGS = 19
+GATES, PATIENCE, LOST, SOON, ADAPT = 11, 14, 15, 16, 17
+SETTINGS = 18
 
 # Places in ``memory``; from CROSS on the covariance of the state with the turn of the last step
-LEFT, RIGHT, SINCE, TURNED, TURN_VARIANCE, SURPRISE, FRESH, REFUSED, AGREED = range(9)
+LEFT, RIGHT, SINCE, TURNED, TURN_VARIANCE, JUMPED, FRESH, REFUSED, AGREED = range(9)
 SEEN, FORESEEN, CROSS = 9, 12, 15
 
-HASTE = 0.6  # of the alarm that a jump of the reference raises: a second one soon after is the ground's
 AT_REST = 1e-9  # [m] rolled: no motion, but the decaying rest of a lag; as in ``skidsteer.noise``
 REFUSED_FLAG, ACCEPTED_FLAG, ANCHORED_FLAG, UNUSED_FLAG = 0, 1, 2, -1
 
@@ -358,15 +357,16 @@ def update_reference(
     K, squared = _gain(S, C, innovation)
     if squared <= settings[GATES + r - 1]:
         memory[REFUSED] = memory[AGREED] = memory[SINCE] = 0.0
-        _be_surprised(memory, settings, settings[SURPRISE_SHARE] * (squared / r - memory[SURPRISE]))
+        memory[JUMPED] = max(memory[JUMPED] - 1.0, 0.0)
         _accept(x, setup, K, innovation)
         _joseph(P, K, H, R)
         return squared, ACCEPTED_FLAG
     _remember(memory, settings, seen, foreseen, S)
     if memory[AGREED] < settings[PATIENCE] and memory[REFUSED] < settings[LOST]:
         return squared, REFUSED_FLAG
-    alarm = settings[SURPRISE_LIMIT] - 1.0
-    _be_surprised(memory, settings, HASTE * alarm if memory[AGREED] >= settings[PATIENCE] else 2.0 * alarm)
+    if memory[JUMPED] > 0.0 or memory[AGREED] < settings[PATIENCE]:
+        memory[FRESH] = 1.0  # jumps in short order, or a reference at odds with itself: the ground has changed
+    memory[JUMPED] = settings[SOON]
     memory[REFUSED] = memory[AGREED] = memory[SINCE] = 0.0
     _anchor(x, P, innovation, R, lever)
     return squared, ANCHORED_FLAG
@@ -479,14 +479,6 @@ def _joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> None:
             for k in range(r):
                 total += KR[i, k] * K[j, k]
             P[i, j] = P[j, i] = total
-
-
-@njit(cache=True, error_model="numpy")
-def _be_surprised(memory: FloatArray, settings: FloatArray, more: float) -> None:
-    """Add to the running mean of the squared innovations over their dof; too high, and the ground has changed."""
-    memory[SURPRISE] += more
-    if memory[SURPRISE] > settings[SURPRISE_LIMIT]:
-        memory[SURPRISE], memory[FRESH] = 1.0, 1.0
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,12 +7,12 @@ States: pose of base_link, the parameters that the calibration found (five for t
   The noise is the calibration's: a random walk of position and yaw with the distance rolled. At rest nothing grows.
 - *Parameters* wander with the distance rolled, about the best estimate: their variance grows at first by
   2 variation^2 / reach a metre, and never beyond that of the calibration plus variation^2. So they keep what they have
-  learnt for as long as no reference corrects them (a Gauss-Markov process whose centre is the estimate). Where the
-  innovations of the reference stay larger than they should, the ground has changed: that variance is reached at once.
+  learnt for as long as no reference corrects them (a Gauss-Markov process whose centre is the estimate).
 - *A gyro* measures the turn of each step itself, noise of the wheels included, beside its bias.
 - *References* are gated by chi-square. One that is refused ``patience`` times in a row, but moves as the wheels say in
-  between, has jumped: the pose is set to it, the parameters stay. One that is refused ``lost`` times in a row whatever
-  it does is followed too, and the ground counts as changed.
+  between, has jumped: the pose is set to it, the parameters stay. One that jumps again ``soon``, or that is refused
+  ``lost`` times in a row whatever it does, tells of another ground: the pose is set to it, and the parameters have at
+  once all the variance that they may come to have.
 - *Gaps* of more than a second in the wheels: the pose stays, its variance grows by (1 m)^2 and (1 rad)^2 a second.
 - *At rest*: rims that stand still add no noise, so that a gyro tells its bias there; ``Standstill`` says that the body
   rests whatever the rims do.
@@ -62,18 +62,17 @@ class FilterOptions:
     confidence: float = 0.999  # share of right measurements that the gates let pass
     patience: int = 5  # refusals in a row, agreeing with each other, after which the pose is set to the reference
     lost: int = 15  # refusals in a row after which it is set whatever they say
-    window: int = 20  # updates that the running mean of the innovations looks back
-    alarm: float = 1e-5  # probability of a changed ground when nothing changed, in each such window
+    soon: int = 20  # updates after a jump in which a second one counts as a change of the ground
     bias_sigma: float = 0.02  # [rad/s] of the gyro's bias at the start
     bias_walk: float = 1e-4  # [rad/s/sqrt(s)] of the gyro's bias
 
     def __post_init__(self) -> None:
-        positive = ("variation", "reach", "bias_sigma", "bias_walk", "patience", "lost", "window")
+        positive = ("variation", "reach", "bias_sigma", "bias_walk", "patience", "lost", "soon")
         for name in positive:
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
-        if not (0.0 < self.confidence < 1.0 and 0.0 < self.alarm < 1.0):
-            raise ValueError(f"need 0 < confidence, alarm < 1, got {self.confidence}, {self.alarm}")
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"need 0 < confidence < 1, got {self.confidence}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +152,7 @@ class IcrFilter:
         P[:3, :3], P[3 : 3 + q, 3 : 3 + q] = P_pose, self.theta_covariance
         if self.gyro:
             P[-1, -1] = self.options.bias_sigma**2
-        memory[[kernel.LEFT, kernel.RIGHT]], memory[kernel.SURPRISE] = np.nan, 1.0
+        memory[[kernel.LEFT, kernel.RIGHT]] = np.nan
         return FilterState(self.fingerprint, float(time), mean, P, memory)
 
     def predict(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
@@ -262,11 +261,7 @@ def _setup(f: IcrFilter) -> Setup:
     )
     s[kernel.LONGEST], s[kernel.GAP_WALK], s[kernel.GAP_TURN] = MAX_GAP, GAP_WALK**2, GAP_TURN**2
     s[kernel.GATES : kernel.GATES + 3] = chi2.ppf(o.confidence, [1, 2, 3])
-    # An exponential mean over w of chi-square / 2 with 2 dof has the variance 1 / (2 w - 1); as a chi-square of its own
-    # that is one with 2 (2 w - 1) dof.
-    dof = 2.0 * (2.0 * o.window - 1.0)
-    s[kernel.SURPRISE_SHARE], s[kernel.SURPRISE_LIMIT] = 1.0 / o.window, chi2.isf(o.alarm, dof) / dof
-    s[kernel.PATIENCE], s[kernel.LOST], s[kernel.ADAPT] = o.patience, o.lost, float(o.adapt)
+    s[kernel.PATIENCE], s[kernel.LOST], s[kernel.SOON], s[kernel.ADAPT] = o.patience, o.lost, o.soon, float(o.adapt)
     variation = o.variation * (f.bounds[:, 1] - f.bounds[:, 0])
     ground = f.theta_covariance + np.diag(variation**2) if o.adapt else f.theta_covariance.copy()
     index = [p.name for p in f.model.PARAMETERS]
