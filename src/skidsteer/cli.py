@@ -89,6 +89,14 @@ class Source:
         topics = {name: word for name, word in self.words.items() if name != "vehicle"}
         return load_drives(paths, self.vehicle() or otherwise, parse_options(topics))
 
+    def grounds(self, words: list[str]) -> dict[str, list[Drive]]:
+        """Read drives by the ground they were driven on."""
+        from skidsteer.io.drives import load_grounds
+        from skidsteer.io.options import parse_options
+
+        topics = {name: word for name, word in self.words.items() if name != "vehicle"}
+        return load_grounds(words, self.vehicle(), parse_options(topics))
+
     def circles(self, paths: list[str], model: str, method: str) -> CircleCalibration | None:
         """The calibration from a table of circle runs, or from the circles in drives if asked; None: from drives."""
         from skidsteer.identify.circle_calibration import METHOD, calibrate_circles, calibrate_circles_in, serves
@@ -127,8 +135,8 @@ def on_drives(command: Callable[..., None]) -> Callable[..., None]:
 @app.command()
 @on_drives
 def calibrate(
-    drives: Drives,
     source: Source,
+    drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE...", help=DRIVE_HELP)] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml there")] = None,
     model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
     method: Annotated[str, typer.Option(help="least-squares, genetic (Mandow 2007) or circle-test")] = "least-squares",
@@ -138,14 +146,20 @@ def calibrate(
     mount: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]|free", help="of the reference [m, rad]")] = None,
     seed: Annotated[int, typer.Option(help="of the genetic search")] = 0,
     fix: Annotated[bool, typer.Option("--fix", help="apply the doctor's safe cures first")] = False,
+    profile: Annotated[
+        list[str] | None, typer.Option(metavar="GROUND=DRIVE", help="a profile for each ground, in place of DRIVE...")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Calibrate a motion model from drives of one robot."""
     from skidsteer import console, documents
     from skidsteer.identify.calibrate import calibrate as calibrate_drives
     from skidsteer.identify.calibrate import make_options
+    from skidsteer.identify.terrain import calibrate_profiles
 
-    if (circles := source.circles(drives, model, method)) is not None:
+    if bool(drives) == bool(profile):
+        raise typer.BadParameter("give drives, or --profile GROUND=DRIVE for each of them")
+    if drives and (circles := source.circles(drives, model, method)) is not None:
         _write(circles.calibration, out)
         if json:
             typer.echo(documents.to_json(documents.circles_document(circles)))
@@ -154,7 +168,10 @@ def calibrate(
         return
     options = make_options(model, method, window, seed, time_offset, lag, mount, fix)
     with console.progress_bar() as report:
-        calibration = calibrate_drives(source.load(drives), options=options, progress=report)
+        if profile:
+            calibration = calibrate_profiles(source.grounds(profile), options, report)
+        else:
+            calibration = calibrate_drives(source.load(drives or []), options=options, progress=report)
     _write(calibration, out)
     if json:
         typer.echo(documents.to_json(documents.calibration_document(calibration)))
@@ -185,6 +202,27 @@ def evaluate(
         typer.echo(documents.to_json(documents.evaluation_document(result, window)))
     else:
         console.show_evaluation(result)
+
+
+@app.command()
+@on_drives
+def terrains(
+    drives: Annotated[list[str], typer.Argument(metavar="GROUND=DRIVE...", help="drives and the ground of each")],
+    source: Source,
+    model: Annotated[str, typer.Option(metavar="NAME", help="model whose parameters are compared")] = "icr",
+    window: Window = 2.0,
+    json: Json = False,
+) -> None:
+    """Whether the model of one ground differs from that of another, and whether it matters."""
+    from skidsteer import console, documents
+    from skidsteer.identify.calibrate import make_options
+    from skidsteer.identify.terrain import compare_terrains
+
+    found = compare_terrains(source.grounds(drives), model, make_options(model, window=window))
+    if json:
+        typer.echo(documents.to_json(documents.terrains_document(found)))
+    else:
+        console.show_terrains(found)
 
 
 @app.command()
@@ -306,7 +344,9 @@ def sample(
 def simulate(
     vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file with the robot's measures")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="drive folder to write")],
-    commands: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV: t with v, omega or v_left, v_right")] = None,
+    commands: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="CSV: t with v, omega or v_left, v_right")
+    ] = None,
     manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA;...", help="instead: one after the other")] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic or terramechanic")] = "terramechanic",
     terrain: Annotated[str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")] = "lab",

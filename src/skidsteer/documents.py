@@ -16,6 +16,7 @@ from skidsteer.identify.circle_calibration import CircleCalibration
 from skidsteer.identify.circle_test import SideResult, SurfaceResult
 from skidsteer.identify.design import Design
 from skidsteer.identify.select import Selection
+from skidsteer.identify.terrain import Terrains
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
@@ -93,6 +94,18 @@ def comparison_document(held_out: dict[str, HeldOut], selection: Selection) -> D
         "models": {
             name: {**_held_out(h), "against_best": asdict(selection.against_best[name])} for name, h in held_out.items()
         },
+    }
+
+
+def terrains_document(found: Terrains) -> Document:
+    """What ``terrains --json`` prints; ``a_on_b`` is the calibration of a on drives of b against b's own."""
+    return {
+        "model": found.model,
+        "grounds": list(found.names),
+        **asdict(found.difference),
+        "profiles_needed": found.needed,
+        "because": found.because,
+        "pairs": [asdict(pair) for pair in found.pairs],
     }
 
 

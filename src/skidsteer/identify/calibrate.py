@@ -76,10 +76,10 @@ def calibrate(
     drives = [drive] if isinstance(drive, Drive) else list(drive)
     options = options or CalibrateOptions(model=model)
     for d in drives:
-        _usable(d)
+        refuse_unusable(d)
     _tell(progress, "looking at the log", 0, 1)
     drives, complaints = _examined(drives, options.fix)
-    options = _settled(drives, options)
+    options = settled(drives, options)
     windows = [increment_windows(d, options.spacing or 0.0) for d in drives]
     names = candidates(drives, options)
     judged = judge_models(names, drives, options, progress)
@@ -163,7 +163,7 @@ def candidates(drives: Sequence[Drive], options: CalibrateOptions) -> list[str]:
     return sorted({*(name for name in BASELINES if name in able), options.model}, key=list(MODELS).index)
 
 
-def _settled(drives: list[Drive], options: CalibrateOptions) -> CalibrateOptions:
+def settled(drives: list[Drive], options: CalibrateOptions) -> CalibrateOptions:
     """The same options with mounting and spacing settled by the drives."""
     options = replace(options, fit=replace(options.fit, mount=mounting(drives, options.mount)))
     if options.spacing is not None:
@@ -196,13 +196,13 @@ def judge_drive(drive: Drive, findings: Sequence[Finding]) -> Observability | st
     if any(f.severity == "error" and f.kind not in EXCITATION for f in findings):
         return "cure the errors first"
     try:
-        _usable(drive)
+        refuse_unusable(drive)
     except DataError as refusal:
         return str(refusal).removeprefix(f"{drive.name}: ")
     return observe_drive(drive)
 
 
-def _usable(drive: Drive) -> None:
+def refuse_unusable(drive: Drive) -> None:
     """Refuse a drive that cannot be calibrated from."""
     reference = drive.reference or drive.gyro
     if reference is None:
@@ -366,8 +366,8 @@ def compare_models(
         DataError: a drive that cannot be calibrated from, or too little to hold anything out.
     """
     for drive in drives:
-        _usable(drive)
-    options = _settled(drives, CalibrateOptions(window=length))
+        refuse_unusable(drive)
+    options = settled(drives, CalibrateOptions(window=length))
     judged = judge_models(candidates(drives, options), drives, options, progress)
     if not judged:
         raise DataError(f"{drives[0].name}: too short to hold anything out; at least 16 s in motion are needed")

@@ -41,6 +41,11 @@ class Comparison:
         told = [e for e in (self.translation, self.yaw) if e is not None]
         return any((e.p_worse < LEVEL and e.share > NEGLIGIBLE) or e.share > MARGIN for e in told)
 
+    @property
+    def largest(self) -> float:
+        """Excess of the worse of the two, as a share; 0 where the drives cannot tell."""
+        return max((e.share for e in (self.translation, self.yaw) if e is not None), default=0.0)
+
     def __str__(self) -> str:
         pairs = (("translation", self.translation), ("yaw", self.yaw))
         return ", ".join(f"{name} {100 * e.share:+.0f} % (p = {e.p_worse:.2g})" for name, e in pairs if e)
@@ -78,16 +83,15 @@ def excess(error: FloatArray, other: FloatArray, block: np.ndarray) -> Excess | 
     return Excess(float(np.expm1(mean)), low, high, float(student.sf(mean / sigma, blocks - 1)))
 
 
+def compare_errors(errors: WindowErrors, other: WindowErrors, block: np.ndarray) -> Comparison:
+    """Errors against others of the same windows, by the block (k,) that each window lies in."""
+    return Comparison(excess(errors.translation, other.translation, block), excess(_yaw(errors), _yaw(other), block))
+
+
 def select(results: Mapping[str, HeldOutErrors]) -> Selection:
     """Choose among the models of ``results`` (at least one), whose windows must be the same."""
     best = min(results, key=lambda name: _typical(results[name]))
-    against = {
-        name: Comparison(
-            excess(r.errors.translation, results[best].errors.translation, r.block),
-            excess(_yaw(r.errors), _yaw(results[best].errors), r.block),
-        )
-        for name, r in results.items()
-    }
+    against = {name: compare_errors(r.errors, results[best].errors, r.block) for name, r in results.items()}
     simple = sorted(results, key=lambda name: len(MODELS[name].PARAMETERS))
     chosen = next(name for name in simple if name == best or not against[name].worse)
     return Selection(chosen, _sentence(chosen, best, against, simple), against)

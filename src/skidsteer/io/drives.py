@@ -105,10 +105,38 @@ def load_drives(paths: Sequence[str], vehicle: Vehicle | None = None, bag: BagOp
             groups.append(path)
         was_csv = is_csv
     drives = [load_drive(group, vehicle, bag) for group in groups]
+    _refuse_other_robots(drives)
+    return drives
+
+
+def load_grounds(
+    words: Sequence[str], vehicle: Vehicle | None = None, bag: BagOptions = AUTOMATIC
+) -> dict[str, list[Drive]]:
+    """Read drives by the ground they were driven on.
+
+    Args:
+        words: ``GROUND=DRIVE``, several of one ground if need be; a drive alone is a ground of its own name.
+        vehicle: of the drives.
+        bag: as in ``load_drive``.
+
+    Raises:
+        RequestError: a word without a ground or a drive, or drives of different robots.
+    """
+    grounds: dict[str, list[Drive]] = {}
+    for word in words:
+        ground, separator, path = word.rpartition("=")
+        if separator and not (ground.strip() and path.strip()):
+            raise RequestError(f"'{word}': give GROUND=DRIVE, such as grass=drives/monday")
+        drive = load_drive(path, vehicle, bag)
+        grounds.setdefault(ground.strip() or drive.name, []).append(drive)
+    _refuse_other_robots([drive for drives in grounds.values() for drive in drives])
+    return grounds
+
+
+def _refuse_other_robots(drives: Sequence[Drive]) -> None:
     widths = {d.vehicle.track_width for d in drives}
     if len(widths) > 1:
         named = ", ".join(f"{d.name}: {d.vehicle.name} {d.vehicle.track_width:g} m" for d in drives)
         raise RequestError(
             f"the drives are of different robots ({named}); calibrate them one by one, or give --vehicle"
         )
-    return drives
