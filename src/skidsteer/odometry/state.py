@@ -160,7 +160,7 @@ def refuse_indefinite(what: str, covariance: ArrayLike) -> FloatArray:
     P = np.array(covariance, dtype=float)
     if P.ndim != 2 or P.shape[0] != P.shape[1]:
         raise DataError(f"{what}: a covariance is square, got shape {P.shape}")
-    if not np.isfinite(P).all() or not np.allclose(P, P.T, rtol=1e-9, atol=0.0):
+    if not (np.isfinite(P).all() and (np.abs(P - P.T) <= 1e-9 * np.abs(P)).all()):
         raise DataError(f"{what}: the covariance must be finite and symmetric")
     try:
         np.linalg.cholesky(P)

@@ -1,0 +1,139 @@
+"""A live filter that takes what arrives late at its own time: it remembers, goes back, and steps forward again."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, zip_longest
+
+from skidsteer.errors import DataError
+from skidsteer.odometry.log import Event, Step
+from skidsteer.odometry.state import Filter, FilterState, Innovation, Measurement, YawRate
+from skidsteer.windows import MAX_GAP
+
+SAME_TIME = 1e-6  # [s]
+
+Past = tuple[FilterState, Event]  # what happened, and the state before it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timeline:
+    """A filter, its newest state, and what happened in the last seconds. Immutable, as the states are.
+
+    What arrives in any order gives the same state as what arrives in time, to rounding: a measurement is taken into the
+    state of its own time, and all that came after it happens once more.
+    """
+
+    filter: Filter
+    now: FilterState
+    horizon: float = 2.0  # [s] that it can go back; more costs memory and, for what is late, time
+    past: tuple[Past, ...] = ()
+
+    def predict(self, wheels: tuple[float, float] | None, dt: float) -> Timeline:
+        """Rim speeds v_left, v_right [m/s] held for dt [s] from the newest state on; see ``Filter.predict``."""
+        after = self.filter.predict(self.now, wheels, dt)
+        return self if after is self.now else self._with(((self.now, Step(wheels, dt)),), after)
+
+    def update(self, measurement: Measurement) -> tuple[Timeline, Innovation]:
+        """Take a measurement at its own time, now or earlier.
+
+        A yaw rate with a ``duration`` is taken by every step in it, each with its share of the information; the
+        innovation is the sum over them.
+
+        Raises:
+            DataError: it lies ahead of the newest state, or further back than the horizon; or see ``Filter.update``.
+        """
+        span = measurement.duration if isinstance(measurement, YawRate) else 0.0
+        start = self._back_to(measurement.time - span, measurement.time)
+        before = self.past[start][0] if start < len(self.past) else self.now
+        events = _inserted([event for _, event in self.past[start:]], before.time, measurement, span)
+        past, state, told = list(self.past[:start]), before, []
+        for event, new in events:
+            past.append((state, event))
+            if isinstance(event, Step):
+                state = self.filter.predict(state, event.wheels, event.dt)
+                continue
+            state, innovation = self.filter.update(state, event)
+            if new:
+                told.append(innovation)
+        return replace(self, now=state, past=tuple(past)), _total(told)
+
+    def _with(self, more: tuple[Past, ...], now: FilterState) -> Timeline:
+        past = self.past
+        if past and past[0][0].time < now.time - 2.0 * self.horizon:  # cut seldom: it costs a copy
+            past = past[self._last_before(now.time - self.horizon) :]
+        return Timeline(self.filter, now, self.horizon, past + more)
+
+    def _last_before(self, time: float) -> int:
+        return max(bisect_right(self.past, time, key=lambda past: past[0].time) - 1, 0)
+
+    def _back_to(self, begin: float, end: float) -> int:
+        """Index of the first event that happens once more."""
+        if not end <= self.now.time + SAME_TIME:
+            raise DataError(
+                f"a measurement at {end:.3f} s lies ahead of the state at {self.now.time:.3f} s;"
+                " predict up to it first, with the speeds that the wheels have now"
+            )
+        if begin >= self.now.time - SAME_TIME:
+            return len(self.past)
+        if not self.past or begin < self.past[0][0].time - SAME_TIME:
+            raise DataError(
+                f"a measurement at {begin:.3f} s is {self.now.time - begin:.3f} s late, and only {self.horizon:g} s are"
+                " kept; give the timeline a longer horizon"
+            )
+        return self._last_before(begin + SAME_TIME)
+
+
+def _inserted(
+    events: Sequence[Event], clock: float, measurement: Measurement, span: float
+) -> Iterator[tuple[Event, bool]]:
+    """The events from ``clock`` on with a measurement among them; True where it, or a part of it, is taken.
+
+    Steps are cut where it begins and ends, and so are the yaw rates that they have been told. It comes after what was
+    told for its time before; a yaw rate comes right after each of its steps that has none.
+    """
+    begin, end = measurement.time - span, measurement.time
+    rate = measurement if isinstance(measurement, YawRate) and span > 0.0 else None
+    placed = rate is not None
+    for event, told in _with_rates(events):
+        if not isinstance(event, Step):
+            yield event, False
+            continue
+        for piece in _cut(event, [begin - clock, end - clock]):
+            if not placed and clock >= end - SAME_TIME:
+                yield measurement, True
+                placed = True
+            inside = begin - SAME_TIME <= clock and clock + piece.dt <= end + SAME_TIME
+            clock += piece.dt
+            yield piece, False
+            if told is not None:
+                yield YawRate(clock, told.rate, told.variance * (event.dt / piece.dt)), False
+            elif rate is not None and inside:
+                yield YawRate(clock, rate.rate, rate.variance * (span / piece.dt)), True
+    if not placed:
+        yield measurement, True
+
+
+def _with_rates(events: Sequence[Event]) -> Iterator[tuple[Event, YawRate | None]]:
+    """Each event but yaw rates, and the yaw rate that a step was told."""
+    for event, following in zip_longest(events, events[1:]):
+        if not isinstance(event, YawRate):
+            yield event, following if isinstance(event, Step) and isinstance(following, YawRate) else None
+
+
+def _cut(step: Step, cuts: list[float]) -> Iterator[Step]:
+    """The step in pieces, cut at times [s] after its beginning that lie inside it."""
+    inside = sorted({c for c in cuts if SAME_TIME < c < step.dt - SAME_TIME})
+    if not inside:
+        yield step
+        return
+    wheels = step.wheels if step.dt <= MAX_GAP else None
+    edges = [0.0, *inside, step.dt]
+    for a, b in pairwise(edges):
+        yield Step(wheels, b - a)
+
+
+def _total(told: Sequence[Innovation]) -> Innovation:
+    accepted, anchored = all(i.accepted for i in told), any(i.anchored for i in told)
+    return Innovation(sum(i.squared for i in told), sum(i.dof for i in told), bool(told) and accepted, anchored)
