@@ -61,15 +61,15 @@ class Source:
         name = self.words["vehicle"]
         return None if name is None else vehicle(name)
 
-    def load_one(self, paths: list[str]) -> Drive:
-        """Read what must be one drive.
+    def load_one(self, paths: list[str], otherwise: Vehicle | None = None) -> Drive:
+        """Read what must be one drive; ``otherwise`` is its vehicle where none was asked for.
 
         Raises:
             RequestError: several drives were named.
         """
         from skidsteer.errors import RequestError
 
-        drives = self.load(paths)
+        drives = self.load(paths, otherwise)
         if len(drives) > 1:
             raise RequestError(f"one drive at a time, got {len(drives)}")
         return drives[0]
@@ -318,6 +318,42 @@ def design(
         typer.echo(documents.to_json(documents.design_document(made)))
     else:
         console.show_design(made)
+
+
+@app.command()
+@on_drives
+def odometry(
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
+    drive: Annotated[list[str], typer.Argument(metavar="DRIVE", help=DRIVE_HELP)],
+    source: Source,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="trajectory of base_link to write, TUM format")],
+    filter: Annotated[str, typer.Option("--filter", metavar="NAME", help="how poses are estimated")] = "icr",
+    covariance: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV to write covariances to")] = None,
+    smooth: Annotated[bool, typer.Option("--smooth", help="each pose given the whole drive")] = False,
+    no_reference: Annotated[bool, typer.Option("--no-reference", help="take it to judge by only")] = False,
+    no_gyro: Annotated[bool, typer.Option("--no-gyro", help="leave the gyro out")] = False,
+    lose_after: Annotated[float | None, typer.Option(metavar="S", help="lose the reference after S seconds")] = None,
+    fit_delay: Annotated[bool, typer.Option("--fit-delay", help="find the reference's time offset first")] = False,
+    profile: Profile = None,
+    json: Json = False,
+) -> None:
+    """Where the robot drove: a trajectory with covariance, from wheels, and gyro and reference where they are there."""
+    from skidsteer import console, documents
+    from skidsteer.io.calibration_file import load_calibration
+    from skidsteer.io.covariance_csv import write_covariances
+    from skidsteer.io.tum import write_tum
+    from skidsteer.odometry.run import OdometryOptions, run
+
+    options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
+    known = load_calibration(calibration).profile(profile)
+    result = run(known, source.load_one(drive, otherwise=known.vehicle), options)
+    write_tum(out, result.track.t, result.track.poses)
+    if covariance is not None:
+        write_covariances(covariance, result.track.t, result.track.covariances)
+    if json:
+        typer.echo(documents.to_json(documents.odometry_document(result)))
+    else:
+        console.show_odometry(result)
 
 
 @app.command()

@@ -25,6 +25,7 @@ from skidsteer.identify.terrain import Terrains
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
+    from skidsteer.odometry.run import Odometry
 
 OUT = Console(highlight=False)
 ERR = Console(stderr=True, highlight=False)
@@ -212,6 +213,28 @@ def show_terrains(found: Terrains) -> None:
 
 def _against(c: Comparison) -> tuple[str, str, str]:
     return _excess(c.translation), _excess(c.yaw), "worse" if c.worse else ""
+
+
+def show_odometry(result: Odometry) -> None:
+    """What was taken, how sure the last pose is, and how far the track is from the reference."""
+    track = result.track
+    last = np.sqrt(np.diag(track.covariances[-1]))
+    OUT.print(f"{len(track.t)} poses in {track.t[-1] - track.t[0]:.1f} s by {escape(result.filter.fingerprint)}.")
+    if len(track.squared):
+        OUT.print(
+            f"Reference: {track.accepted.sum()} taken, {(~track.accepted).sum()} refused"
+            f" ({track.anchored.sum()} jumps followed); squared innovation over its dof (1 if all is right):"
+            f" mean {np.mean(track.squared) / track.dof:.2f}, median {np.median(track.squared) / track.dof:.2f}."
+        )
+    if sum(track.rates):
+        OUT.print(f"Gyro: {track.rates[0]} steps taken, {track.rates[1]} refused.")
+    OUT.print(f"Sigma of the last pose: x {last[0]:.3f} m, y {last[1]:.3f} m, yaw {np.degrees(last[2]):.2f} deg.")
+    if result.distance is not None and result.nominal is not None:
+        OUT.print(
+            f"Distance from the reference since {result.since - track.t[0]:.1f} s: {result.distance.rms:.3f} m RMS,"
+            f" {result.distance.most:.3f} m at most; by the nominal track width alone {result.nominal.rms:.3f} m and"
+            f" {result.nominal.most:.3f} m."
+        )
 
 
 COLOURS = {"error": "red", "warning": "yellow", "info": "blue"}

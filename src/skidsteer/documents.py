@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import Finding
 from skidsteer.drive import Drive
@@ -20,6 +22,7 @@ from skidsteer.identify.terrain import Terrains
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
+    from skidsteer.odometry.run import Odometry
 
 Document = dict[str, Any]
 
@@ -106,6 +109,35 @@ def terrains_document(found: Terrains) -> Document:
         "profiles_needed": found.needed,
         "because": found.because,
         "pairs": [asdict(pair) for pair in found.pairs],
+    }
+
+
+def odometry_document(result: Odometry) -> Document:
+    """What ``odometry --json`` prints."""
+    track = result.track
+    return {
+        "filter": result.filter.fingerprint,
+        "poses": len(track.t),
+        "reference": {
+            "accepted": int(track.accepted.sum()),
+            "rejected": int((~track.accepted).sum()),
+            "anchored": int(track.anchored.sum()),
+            "nis_per_dof": {
+                "mean": float(np.mean(track.squared) / track.dof),
+                "median": float(np.median(track.squared) / track.dof),
+            }
+            if len(track.squared)
+            else None,
+        },
+        "gyro": {"accepted": track.rates[0], "rejected": track.rates[1]},
+        "last": {
+            "t": track.last.time,
+            "mean": dict(zip(track.names, track.last.mean.tolist(), strict=True)),
+            "sigma": dict(zip(track.names, np.sqrt(np.diag(track.last.covariance)).tolist(), strict=True)),
+        },
+        "since": result.since,
+        "distance_m": None if result.distance is None else asdict(result.distance),
+        "nominal_distance_m": None if result.nominal is None else asdict(result.nominal),
     }
 
 

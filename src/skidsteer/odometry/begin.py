@@ -55,7 +55,12 @@ def _align(log: Log, model: Model, lag: float, t: FloatArray, seen: FloatArray) 
     last = int(np.argmax(away > STRETCH)) if (away > STRETCH).any() else len(seen) - 1
     body = _path(log, model, lag, t[: last + 2])[1:]
     path = compose(body, np.array([log.mount.x, log.mount.y, 0.0]))[:, :2]
-    a, b = path @ [1.0, 1j], seen[: last + 1] @ [1.0, 1j]
+    return closest(path, seen[: last + 1]), float(away[: last + 1].max())
+
+
+def closest(path: FloatArray, seen: FloatArray) -> FloatArray:
+    """Rigid motion (3,) that brings positions (m, 2) closest to others (m, 2), Umeyama 1991, no scale."""
+    a, b = path @ [1.0, 1j], seen @ [1.0, 1j]
     turn = np.angle(np.vdot(a - a.mean(), b - b.mean()))
     at = b.mean() - np.exp(1j * turn) * a.mean()
-    return np.array([at.real, at.imag, turn]), float(away[: last + 1].max())
+    return np.array([at.real, at.imag, turn])

@@ -1,0 +1,133 @@
+"""Odometry of a drive by a calibration: the trajectory, and how far it and dead reckoning are from the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skidsteer.calibration import Calibration
+from skidsteer.drive import Drive
+from skidsteer.errors import DataError, RequestError
+from skidsteer.evaluation import fit_offset
+from skidsteer.models import Differential
+from skidsteer.noise import Noise
+from skidsteer.odometry.begin import HERE, begin, closest
+from skidsteer.odometry.filters import FILTERS
+from skidsteer.odometry.icr_filter import IcrFilter
+from skidsteer.odometry.log import Log, log_of
+from skidsteer.odometry.state import Filter
+from skidsteer.odometry.track import Track, replay, smooth
+from skidsteer.se2 import FloatArray, compose, invert
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryOptions:
+    """What is taken of a drive, and what is made of it."""
+
+    filter: str = "icr"  # of ``FILTERS``
+    reference: bool = True  # False: it is there to judge by only
+    gyro: bool = True
+    smooth: bool = False  # each pose given the whole drive
+    lose_after: float | None = None  # [s] from the start, after which the reference is there to judge by only
+    fit_delay: bool = False  # find the time offset of the reference first; needs reference poses
+
+    def __post_init__(self) -> None:
+        if self.filter not in FILTERS:
+            raise RequestError(f"no filter '{self.filter}'; there are: {', '.join(FILTERS)}")
+        if self.lose_after is not None and not 0.0 <= self.lose_after < np.inf:
+            raise RequestError(f"the reference is lost after a time of 0 s or more, got {self.lose_after}")
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """How far positions are from the reference [m]."""
+
+    rms: float
+    most: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """A track, and its distance from the reference where the drive has one.
+
+    Distances count from ``since`` on: from where the reference was lost, else from the start. Both begin there at the
+    same pose.
+    """
+
+    filter: Filter
+    track: Track
+    since: float  # [s]
+    distance: Distance | None = None
+    nominal: Distance | None = None  # of dead reckoning by the nominal track width
+
+
+def run(calibration: Calibration, drive: Drive, options: OdometryOptions = OdometryOptions()) -> Odometry:
+    """Make the odometry of a drive.
+
+    Raises:
+        RequestError: a drive of separate windows; smoothing by a filter that cannot; a delay to be fitted without
+            reference poses; a reference that is lost after the drive has ended.
+    """
+    if options.fit_delay and drive.pose is None:
+        raise RequestError(f"{drive.name}: a delay is fitted to reference poses, and it has none")
+    offset = fit_offset(calibration, drive) if options.fit_delay else None
+    whole = log_of(calibration, drive, offset, gyro=options.gyro)
+    log, since = _taken(whole, options)
+    filter = FILTERS[options.filter](calibration, log.gyro is not None)
+    start = begin(filter, log, calibration.model, calibration.timing.lag)
+    track = (smooth if options.smooth else replay)(filter, start, log)
+    if whole.reference is None:
+        return Odometry(filter, track, since)
+    nominal = _reckoned(calibration, log, track, since)
+    return Odometry(filter, track, since, *_distances(whole, (track, nominal), since, log.reference is None))
+
+
+def _taken(whole: Log, options: OdometryOptions) -> tuple[Log, float]:
+    """The log without the reference that is to be ignored, and the time from which on the track is judged."""
+    first, last = float(whole.wheels.t[0]), float(whole.wheels.t[-1])
+    if not options.reference:
+        return replace(whole, reference=None), first
+    if options.lose_after is None:
+        return whole, first
+    since = first + options.lose_after
+    if since >= last:
+        raise RequestError(
+            f"the reference is lost after {options.lose_after:g} s, the drive lasts {last - first:.1f} s"
+        )
+    return whole.without((since, np.inf)), since
+
+
+def _reckoned(calibration: Calibration, log: Log, track: Track, since: float) -> Track:
+    """Dead reckoning by the nominal track width from the pose of a track on."""
+    at = int(np.searchsorted(track.t, since))
+    wheels = log.wheels.between(float(track.t[at]), np.inf)
+    if wheels is None:
+        raise DataError(f"no wheel sample after {since:.3f} s")
+    model = Differential.nominal(calibration.vehicle)
+    plain = IcrFilter(model, (), np.zeros((0, 0)), np.zeros((0, 2)), Noise())
+    return replay(plain, plain.start(float(wheels.t[0]), track.poses[at], HERE), Log(wheels))
+
+
+def _distances(whole: Log, tracks: tuple[Track, ...], since: float, ignored: bool) -> tuple[Distance | None, ...]:
+    """Distance of each track; one that began at the origin is laid on the reference first, by its first pose."""
+    assert whole.reference is not None
+    seen = whole.reference.between(max(since, float(tracks[-1].t[0])), float(tracks[0].t[-1]))
+    if seen is None or (ignored and len(seen) < 2):
+        return (None,) * len(tracks)
+    out = []
+    for track in tracks:
+        body = np.stack([np.interp(seen.t, track.t, column) for column in track.poses.T], axis=-1)
+        path = compose(body, np.array([whole.mount.x, whole.mount.y, whole.mount.yaw]))
+        if ignored:
+            path = _laid(path, seen.values)
+        away = np.hypot(*(path[:, :2] - seen.values[:, :2]).T)
+        out.append(Distance(float(np.sqrt(np.mean(away**2))), float(away.max())))
+    return tuple(out)
+
+
+def _laid(path: FloatArray, seen: FloatArray) -> FloatArray:
+    """A path (m, 3) laid on the reference: by its first pose, or on positions by the best rigid motion."""
+    if seen.shape[1] == 3:
+        return compose(compose(seen[0], invert(path[0])), path)
+    return compose(closest(path[:, :2], seen), path)
