@@ -21,7 +21,7 @@ from skidsteer.vehicle import Vehicle, preset
 
 P3AT = preset("pioneer-p3at")
 LAB = Ground(TERRAINS["lab"])
-TURN = "3,0.3,0.4;2,0,0"
+TURN = "3,0.3,0.4:2,0,0"
 
 
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
@@ -103,15 +103,15 @@ def test_commands_from_a_file(tmp_path: Path) -> None:
 
 
 def test_manoeuvres_in_one_line() -> None:
-    rims = parse_manoeuvres(" 2,0.3,0.5; 1.5,-0.2,0; ", P3AT)
+    rims = parse_manoeuvres(" 2,0.3,0.5: 1.5,-0.2,0 :", P3AT)
     assert rims.t[-1] == pytest.approx(3.5, abs=0.011)
     assert_allclose(rims.values[199], [0.15, 0.45])
     assert_allclose(rims.values[-1], -0.2)
 
 
-@pytest.mark.parametrize("text", ["", "1,0", "1,0,0;2,0", "0,1,1", "a,b,c", "1,nan,0", "inf,0,0"])
+@pytest.mark.parametrize("text", ["", "1,0", "1,0,0:2,0", "0,1,1", "a,b,c", "1,nan,0", "inf,0,0"])
 def test_manoeuvres_that_are_none(text: str) -> None:
-    with pytest.raises(RequestError, match=r"^manoeuvres '.*': write DURATION,V,OMEGA;\.\.\. in s, m/s, rad/s"):
+    with pytest.raises(RequestError, match=r"^manoeuvres '.*': write DURATION,V,OMEGA:\.\.\. in s, m/s, rad/s"):
         parse_manoeuvres(text, P3AT)
 
 

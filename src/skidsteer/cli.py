@@ -275,13 +275,17 @@ def check(
 
 @app.command()
 def design(
-    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file with the robot's measures")],
     area: Annotated[
         str, typer.Option(metavar="LxW", help="[m] along the first heading, and across; start in its middle")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="write commands.csv, path.csv and path.svg there")],
+    vehicle: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="preset or YAML file; default: the calibration's")
+    ] = None,
     minutes: Annotated[float, typer.Option(help="how long to drive")] = 3.0,
-    model: Annotated[str, typer.Option(metavar="NAME", help="model to determine")] = "scheduled_icr",
+    model: Annotated[
+        str | None, typer.Option(metavar="NAME", help="to determine; default: the calibration's, or scheduled_icr")
+    ] = None,
     calibration: Annotated[Path | None, typer.Option(metavar="FILE", help="what is known of the robot")] = None,
     reference_rate: Annotated[float, typer.Option(metavar="HZ", help="of the reference")] = 10.0,
     position_noise: Annotated[float | None, typer.Option(metavar="M", help="of the reference, each axis")] = None,
@@ -304,10 +308,12 @@ def design(
     from skidsteer.io.command_table import write_commands, write_path, write_picture
     from skidsteer.io.folder import vehicle as find_vehicle
 
-    robot, known = find_vehicle(vehicle), None if calibration is None else load_calibration(calibration)
+    known = None if calibration is None else load_calibration(calibration)
+    robot = None if vehicle is None else find_vehicle(vehicle)
     setup, request = make_request(
-        robot, area, minutes, model, known, reference_rate, position_noise, yaw_noise, margin, seed
+        area, minutes, robot, model, known, reference_rate, position_noise, yaw_noise, margin, seed
     )
+    robot = setup.vehicle
     limits = Limits.of(robot, max_speed, max_omega, max_acceleration)
     with console.progress_bar() as report:
         made = design_drive(setup, limits, request, known, report)
@@ -383,7 +389,7 @@ def simulate(
     commands: Annotated[
         Path | None, typer.Option(metavar="FILE", help="CSV: t with v, omega or v_left, v_right")
     ] = None,
-    manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA;...", help="instead: one after the other")] = None,
+    manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA:...", help="instead: one after the other")] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic or terramechanic")] = "terramechanic",
     terrain: Annotated[str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")] = "lab",
     seed: Annotated[int, typer.Option(help="of the sensors' noise")] = 0,
@@ -397,7 +403,7 @@ def simulate(
     from skidsteer.terramechanics.terrain import parse_ground
 
     if (commands is None) == (manoeuvre is None):
-        raise RequestError("give either --commands FILE or --manoeuvre S,V,OMEGA;...")
+        raise RequestError("give either --commands FILE or --manoeuvre S,V,OMEGA:...")
     robot = find_vehicle(vehicle)
     rims = parse_manoeuvres(manoeuvre or "", robot) if commands is None else read_commands(commands, robot)
     drive = plants.plant(plant)(out.name, robot, parse_ground(terrain), rims, plants.usual_sensors(robot), seed)

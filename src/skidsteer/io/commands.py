@@ -32,18 +32,18 @@ def read_commands(path: str | os.PathLike[str], vehicle: Vehicle) -> Series:
 
 
 def parse_manoeuvres(text: str, vehicle: Vehicle) -> Series:
-    """Rim speeds (n, 2) [m/s] at 100 Hz from ``DURATION,V,OMEGA;...`` [s, m/s, rad/s], between ramps of 0.6 m/s^2.
+    """Rim speeds (n, 2) [m/s] at 100 Hz from ``DURATION,V,OMEGA:...`` [s, m/s, rad/s], between ramps of 0.6 m/s^2.
 
     Raises:
         RequestError: not three finite numbers each, or a duration that is not above 0.
     """
     try:
-        rows = np.array([[float(word) for word in row.split(",")] for row in text.strip().strip(";").split(";")])
+        rows = np.array([[float(word) for word in row.split(",")] for row in text.strip().strip(":").split(":")])
         fits = rows.ndim == 2 and rows.shape[1] == 3 and bool(np.isfinite(rows).all() and (rows[:, 0] > 0.0).all())
     except ValueError:
         fits = False
     if not fits:
         raise RequestError(
-            f"manoeuvres {short(text)}: write DURATION,V,OMEGA;... in s, m/s, rad/s, such as 8,0.4,0;6,0,0.8"
+            f"manoeuvres {short(text)}: write DURATION,V,OMEGA:... in s, m/s, rad/s, such as 8,0.4,0:6,0,0.8"
         )
     return rims_from_manoeuvres(rows, controller(vehicle))
