@@ -66,9 +66,9 @@ def observe(found: Fit, drives: list[Drive], windows: list[Windows], options: Fi
 
 
 def _moves(judged: _Judged, slopes: FloatArray) -> np.ndarray:
-    """Which entries (m,) move a motion beyond its tolerance by what is open of them; all that is no parameter, too."""
+    """Which entries (m,) move a motion by half its tolerance by what is open of them; all that is no parameter, too."""
     out = np.ones(len(judged.names), bool)
-    out[: judged.p] = (np.abs(slopes) * judged.sigma[: judged.p]).max(axis=0, initial=0.0) > 1.0
+    out[: judged.p] = (np.abs(slopes) * judged.sigma[: judged.p]).max(axis=0, initial=0.0) > 0.5
     return out
 
 
