@@ -24,6 +24,7 @@ ROUND = 2.0  # sigmas of the residuals beyond which a surface is not flat
 STRAIGHT_SHARE = 0.8  # of the points of a cluster that must lie on the line
 ROUGH_SHARE = 0.25  # of the width that the chord of a cluster may differ by, before a line is fitted
 FEW_SCANS = 100  # tell the noise on the plate
+COARSER = (1.0, 3.0, 10.0)  # times the noise elsewhere that the noise on the plate may be
 CUT_OFF = 0.5 * math.sin(GRAZING)  # cosine of the largest slant of a ray on a plate, on the safe side
 CHUNK = 256  # scans at a time: their points stay in the cache
 NOTHING, NO_PLATE, CUT, SEVERAL, SEEN = range(5)
@@ -122,9 +123,12 @@ def find_plate(scans: Scans, width: float, range_sigma: float | None = None) -> 
 
 def _noise(scans: Scans, width: float) -> float:
     """Noise [m] of the ranges on the plate, or of all of them where the plate is not found among a few scans."""
-    sigma = range_noise(scans)
-    found = _find(scans.rows(slice(None, None, -(-len(scans) // FEW_SCANS))), width, sigma)
-    return max(LEAST_NOISE, found.range_sigma) if len(found.t) else sigma
+    few, sigma = scans.rows(slice(None, None, -(-len(scans) // FEW_SCANS))), range_noise(scans)
+    for factor in COARSER:
+        found = _find(few, width, factor * sigma)
+        if len(found.t):
+            return max(LEAST_NOISE, found.range_sigma)
+    return sigma
 
 
 def _find(scans: Scans, width: float, sigma: float) -> Sightings:

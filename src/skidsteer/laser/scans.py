@@ -5,6 +5,7 @@ The scanner's frame is REP-103's: x ahead, y left, bearings counter-clockwise fr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +38,7 @@ class Scanner:
 
 
 def _degrees(field: float, step: float, near: float, far: float, sigma: float, rate: float) -> Scanner:
-    return Scanner(np.radians(field), np.radians(step), near, far, sigma, rate)
+    return Scanner(math.radians(field), math.radians(step), near, far, sigma, rate)
 
 
 SCANNERS: dict[str, Scanner] = {
