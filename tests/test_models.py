@@ -7,7 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from skidsteer.models import MODELS, Differential, Icr, Linear, MatrixModel, Model, Multiplier, SymmetricIcr
+from skidsteer.models import (
+    MODELS,
+    Differential,
+    Icr,
+    Linear,
+    MatrixModel,
+    Model,
+    Multiplier,
+    ScheduledIcr,
+    SymmetricIcr,
+)
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import PRESETS, preset
 
@@ -150,6 +160,18 @@ def test_icr_by_hand() -> None:
     """
     twist = Icr(icr_y_left=0.4, icr_y_right=-0.6, icr_x=0.2, alpha_left=0.8, alpha_right=0.9).twist(1.0, 2.0)
     assert_allclose(twist, [1.2, -0.2, 1.0], atol=1e-15)
+
+
+def test_scheduled_icr_by_hand() -> None:
+    """On the constant ICR above, v = 1.2 m/s and omega = 1 rad/s.
+
+    v_x = 1.2 / (1 + 0.25); the yaw rate gains 0.2 * 1.44 / 2.44 by speed and 0.3 * 1.2 / 4.2 by lateral acceleration;
+    v_y = -0.2 omega' - 0.4 * 1.2 / (1 + 0.5 * 1.2).
+    """
+    terms = {"turn_loss": 0.25, "side_slip": 0.4, "yaw_gain": 0.2, "load_gain": 0.3, "slip_fade": 0.5}
+    model = ScheduledIcr(icr_y_left=0.4, icr_y_right=-0.6, icr_x=0.2, alpha_left=0.8, alpha_right=0.9, **terms)
+    omega = 1.0 + 0.2 * 1.44 / 2.44 + 0.3 * 1.2 / 4.2
+    assert_allclose(model.twist(1.0, 2.0), [0.96, -0.2 * omega - 0.3, omega], rtol=1e-14)
 
 
 @given(shares, speeds, speeds)

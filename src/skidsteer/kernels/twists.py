@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from skidsteer.se2 import FloatArray
@@ -24,6 +25,7 @@ KINDS = {
 }
 CREEP = 0.02  # [m/s] as in models.curvature
 KNEE = 1.0  # [m/s] as in models.scheduled_icr
+LEAN = 3.0  # [m/s^2] as there
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
@@ -82,14 +84,16 @@ def _icr(theta: FloatArray, left: float, right: float, twist: FloatArray, J: Flo
 @njit(cache=True, error_model="numpy")
 def _scheduled_icr(theta: FloatArray, left: float, right: float, twist: FloatArray, J: FloatArray) -> None:
     _icr(theta, left, right, twist, J)
-    x, turn_loss, side_slip, yaw_gain, slip_fade = theta[2], theta[5], theta[6], theta[7], theta[8]
+    x, turn_loss, side_slip, yaw_gain, load_gain, slip_fade = theta[2], theta[5], theta[6], theta[7], theta[8], theta[9]
     v, omega = twist[0], twist[2]
-    loss, fade, knee = 1.0 + turn_loss * omega**2, 1.0 + slip_fade * abs(v), KNEE**2 + v**2
-    gain = 1.0 + yaw_gain * v**2 / knee
-    turn_by_v = yaw_gain * omega * 2.0 * v * (KNEE / knee) ** 2
+    loss, fade, knee, a = 1.0 + turn_loss * omega**2, 1.0 + slip_fade * abs(v), KNEE**2 + v**2, abs(v * omega)
+    gain = 1.0 + yaw_gain * v**2 / knee + load_gain * a / (LEAN + a)
+    by_a = load_gain * LEAN / (LEAN + a) ** 2
+    turn_by_v = omega * (yaw_gain * 2.0 * v * (KNEE / knee) ** 2 + by_a * abs(omega) * np.sign(v))
+    turn_by_omega = gain + by_a * a
     for m in range(5):
         by_v, by_omega = J[0, m], J[2, m]
-        turn = turn_by_v * by_v + gain * by_omega
+        turn = turn_by_v * by_v + turn_by_omega * by_omega
         slip = side_slip * (omega / fade**2 * by_v + v / fade * by_omega)
         J[0, m] = by_v / loss - 2.0 * v * turn_loss * omega / loss**2 * by_omega
         J[1, m] = -x * turn - slip
@@ -98,8 +102,9 @@ def _scheduled_icr(theta: FloatArray, left: float, right: float, twist: FloatArr
     J[0, 5] = -v * (omega / loss) ** 2
     J[1, 6] = -v * omega / fade
     J[2, 7] = omega * v**2 / knee
-    J[1, 7] = -x * J[2, 7]
-    J[1, 8] = side_slip * v * omega * abs(v) / fade**2
+    J[2, 8] = omega * a / (LEAN + a)
+    J[1, 7], J[1, 8] = -x * J[2, 7], -x * J[2, 8]
+    J[1, 9] = side_slip * v * omega * abs(v) / fade**2
     twist[0], twist[1], twist[2] = v / loss, -x * omega * gain - side_slip * v * omega / fade, omega * gain
 
 
