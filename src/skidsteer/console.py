@@ -22,6 +22,7 @@ from skidsteer.identify.circle_test import SideResult
 from skidsteer.identify.design import Design
 from skidsteer.identify.select import Comparison, Excess, Selection
 from skidsteer.identify.terrain import Terrains
+from skidsteer.reproduce.rows import Reproduction
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
@@ -238,6 +239,21 @@ def show_odometry(result: Odometry) -> None:
 
 
 COLOURS = {"error": "red", "warning": "yellow", "info": "blue"}
+
+
+def show_reproduction(done: Reproduction) -> None:
+    """A line for each printed figure: the paper's, ours, their difference, the verdict and why."""
+    table = Table("", "paper", "ours", "difference", "verdict", box=None, pad_edge=False)
+    for row in done.rows:
+        numbers = ("-" if np.isnan(v) else f"{v:.4g}" for v in (row.paper, row.ours, row.ours - row.paper))
+        colour = "green" if row.verdict == "reproduced" else "yellow"
+        table.add_row(escape(row.what), *numbers, f"[{colour}]{row.verdict}[/]")
+    for column in table.columns[1:4]:
+        column.justify = "right"
+    OUT.print(table)
+    for row in done.rows:
+        if row.reason:
+            OUT.print(f"{escape(row.what)}: {escape(row.reason)}.")
 
 
 def show_check(

@@ -19,6 +19,8 @@ from skidsteer.identify.circle_test import SideResult, SurfaceResult
 from skidsteer.identify.design import Design
 from skidsteer.identify.select import Selection
 from skidsteer.identify.terrain import Terrains
+from skidsteer.reproduce.figure import Curve
+from skidsteer.reproduce.rows import Reproduction
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
@@ -181,6 +183,29 @@ def design_document(design: Design) -> Document:
         "limits": asdict(design.limits),
         "noise": asdict(design.setup.noise),
     }
+
+
+def reproduction_document(paper: str, done: Reproduction) -> Document:
+    """What ``reproduce --json`` prints."""
+    return {
+        "paper": paper,
+        "rows": [{**asdict(row), "difference": row.ours - row.paper} for row in done.rows],
+        "figures": [
+            {
+                "name": figure.name,
+                "title": figure.title,
+                "x": figure.x_label,
+                "y": figure.y_label,
+                "curves": [_curve(curve) for curve in figure.curves],
+            }
+            for figure in done.figures
+        ],
+    }
+
+
+def _curve(curve: Curve) -> Document:
+    bars = {n: v.tolist() for n, v in (("low", curve.low), ("high", curve.high)) if v is not None}
+    return {"label": curve.label, "x": curve.x.tolist(), "y": curve.y.tolist(), **bars}
 
 
 def _estimate(e: Estimate) -> Document:

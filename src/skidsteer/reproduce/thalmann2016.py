@@ -1,0 +1,186 @@
+"""Thalmann and Neuner 2016, "In-Field Calibrated Odometry for Skid-Steered Mobile Robots", MCG 2016.
+
+The paper's curves are in figures only, its measured drives are not published: what can be compared are the claims of
+its text. Figs. 4 and 5 follow from geometry alone; Figs. 10 to 13 have counterparts on simulated drives
+(``thalmann_drives``, ``repeated_samples``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skidsteer.calibration import Estimate
+from skidsteer.odometry.in_field import InField, calibrate_in_field
+from skidsteer.odometry.kinematic_ekf import thalmann_filter
+from skidsteer.odometry.reckoning import off_circle, polygon_error
+from skidsteer.odometry.tracking_loss import LossStudy, loss_study
+from skidsteer.reproduce.figure import Curve, Figure
+from skidsteer.reproduce.repeated_samples import Detection, detection
+from skidsteer.reproduce.rows import Reproduction, Row, compared
+from skidsteer.reproduce.thalmann_drives import LABORATORY, NOISE, ROBOT, ROOFTOP, Place, drive
+from skidsteer.se2 import FloatArray
+
+DRIVES = 5  # at each place; the first calibrates, tracking is lost in the others
+DURATIONS = tuple(float(t) for t in range(20, 200, 20))  # [s]
+WINDOWS = 40  # of each duration, shared by the four drives
+RATES = (5.0, 10.0, 20.0)  # [Hz] of Figs. 4 and 5
+DISTURBANCES = (0.05, 0.1, 0.25, 0.5)  # [m/s^2] of Fig. 10's counterpart
+CALIBRATES, RECKONS = "transfer_difference", "extended"
+ASSUMED = "simulated, with a slip and a wandering that are assumed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceStudy:
+    """One place: what each drive's calibration finds, and the errors over lost windows."""
+
+    place: Place
+    found: tuple[InField, ...]
+    loss: LossStudy
+
+    @property
+    def slips(self) -> list[Estimate]:
+        """Transfer-factor difference of each drive."""
+        return [f.slips["slip_right"] for f in self.found]
+
+    @property
+    def reduction(self) -> FloatArray:
+        """By how much, in per cent, the median largest error (k,) falls from the basic to the extended model."""
+        return np.asarray(100.0 * (1.0 - self.loss.medians(RECKONS) / self.loss.medians("basic")))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """All that is simulated."""
+
+    places: tuple[PlaceStudy, ...]
+    detections: tuple[Detection, ...]
+
+
+def study() -> Study:
+    """Simulate everything; some ten seconds."""
+    places = tuple(place_study(place) for place in (LABORATORY, ROOFTOP))
+    rates = [detection(name, disturbance) for name in ("basic", "alternative") for disturbance in DISTURBANCES]
+    return Study(places, tuple(rates))
+
+
+def place_study(place: Place) -> PlaceStudy:
+    """The two phases at one place, section 3.2."""
+    drives = [drive(place, seed) for seed in range(DRIVES)]
+    calibrating = thalmann_filter(CALIBRATES, ROBOT.track_width, NOISE)
+    found = tuple(calibrate_in_field(calibrating, wheels, tracking) for wheels, tracking in drives)
+    filters = {"basic": thalmann_filter("basic", ROBOT.track_width, NOISE), RECKONS: found[0].reckoner}
+    count = WINDOWS // (DRIVES - 1)
+    parts = [loss_study(filters, *lost, DURATIONS, count, seed) for seed, lost in enumerate(drives[1:])]
+    errors = {name: np.concatenate([part.errors[name] for part in parts], axis=1) for name in filters}
+    starts = np.concatenate([part.starts for part in parts], axis=1)
+    return PlaceStudy(place, found, LossStudy(parts[0].durations, starts, errors))
+
+
+def reproduction() -> Reproduction:
+    """Everything, from one simulation."""
+    done = study()
+    return Reproduction(rows(done), figures(done))
+
+
+def rows(done: Study) -> tuple[Row, ...]:
+    """The claims of the text beside ours."""
+    return (*_geometry_rows(), *_loss_rows(done.places), *_slip_rows(done.places))
+
+
+def _geometry_rows() -> tuple[Row, ...]:
+    speed = np.log2(polygon_error(1.0, 5.0, 10.0) / polygon_error(0.5, 5.0, 10.0))
+    radius = np.log2(polygon_error(0.5, 10.0, 10.0) / polygon_error(0.5, 5.0, 10.0))
+    half = "half a step, whatever the radius: the polygon's circle is displaced by it"
+    return (
+        compared("power of the speed in the polygon's error, Fig. 4", 2.0, float(speed), 0.01, "a step at R = 5 m"),
+        compared("power of the radius in it, Fig. 5", -1.0, float(radius), 0.01, "a step at 0.5 m/s"),
+        compared("largest error at 1 m/s and 10 Hz [m], section 2.5", 0.05, off_circle(1.0, 5.0, 10.0), 0.002, half),
+    )
+
+
+def _loss_rows(places: tuple[PlaceStudy, ...]) -> tuple[Row, ...]:
+    reductions = np.concatenate([p.reduction for p in places])
+    shortest = ", ".join(f"{p.reduction[0]:.0f} % at the {p.place.name}" for p in places)
+    first = f"{ASSUMED}; after {DURATIONS[0]:g} s: {shortest}, where wandering weighs more than slip"
+    laboratory = places[0].loss
+    why = f"{ASSUMED}; median of {WINDOWS} windows"
+    return (
+        compared("least reduction of the largest error [%], Figs. 12, 13", 50.0, float(reductions.min()), 5.0, first),
+        compared("greatest reduction of the largest error [%], Figs. 12, 13", 82.0, float(reductions.max()), 5.0, why),
+        compared("basic model after 180 s [m], Fig. 13", 0.85, float(laboratory.medians("basic")[-1]), 0.15, why),
+        compared("extended model after 180 s [m], Fig. 13", 0.175, float(laboratory.medians(RECKONS)[-1]), 0.025, why),
+    )
+
+
+def _slip_rows(places: tuple[PlaceStudy, ...]) -> tuple[Row, ...]:
+    return tuple(_slip_row(p) for p in places)
+
+
+def _slip_row(p: PlaceStudy) -> Row:
+    values = np.array([e.value for e in p.slips])
+    sigma, scatter = float(np.mean([e.sigma for e in p.slips])), float(values.std(ddof=1))
+    what = f"scatter of the transfer-factor difference over {DRIVES} drives, {p.place.name}, Fig. 11"
+    reason = (
+        f"'good reproducibility' without a figure; truth {p.place.slip:g}, mean {values.mean():.2g}, sigma {sigma:.2g}"
+    )
+    reproduced = scatter < 2.0 * sigma and abs(values.mean() - p.place.slip) < 2.0 * sigma
+    return Row(what, float("nan"), scatter, "reproduced" if reproduced else "deviates", reason)
+
+
+def figures(done: Study) -> tuple[Figure, ...]:
+    """Counterparts of Figs. 4, 5, 10, 11, 12 and 13."""
+    laboratory, rooftop = done.places
+    return (
+        *geometry_figures(),
+        _detection_figure(done.detections),
+        _slip_figure(done.places),
+        _loss_figure("figure-12", rooftop),
+        _loss_figure("figure-13", laboratory),
+    )
+
+
+def geometry_figures() -> tuple[Figure, Figure]:
+    """Figs. 4 and 5: distance of the polygon from the arc after one step."""
+    v, R = np.linspace(0.0, 2.0, 41), np.linspace(0.5, 10.0, 39)
+    over_v = [Curve(f"{f:g} Hz", v, np.array([1e3 * polygon_error(x, 5.0, f) for x in v])) for f in RATES]
+    over_r = [Curve(f"{f:g} Hz", R, np.array([1e3 * polygon_error(0.5, x, f) for x in R])) for f in RATES]
+    label = "error of a step [mm]"
+    return (
+        Figure("figure-4", "Polygon against arc, radius 5 m", "speed [m/s]", label, tuple(over_v)),
+        Figure("figure-5", "Polygon against arc, 0.5 m/s", "radius [m]", label, tuple(over_r)),
+    )
+
+
+def _detection_figure(found: tuple[Detection, ...]) -> Figure:
+    curves = []
+    for name in ("basic", "alternative"):
+        mine = [d for d in found if d.filter == name]
+        x = np.array([d.disturbance for d in mine])
+        curves += [
+            Curve(f"{name}: repeated samples found", x, np.array([100.0 * d.found for d in mine])),
+            Curve(f"{name}: good samples excluded", x, np.array([100.0 * d.false for d in mine])),
+        ]
+    title = "Repeated samples under acceleration"
+    return Figure("figure-10", title, "disturbance acceleration [m/s^2]", "share [%]", tuple(curves))
+
+
+def _slip_figure(places: tuple[PlaceStudy, ...]) -> Figure:
+    curves = []
+    for p in places:
+        y = np.array([e.value for e in p.slips])
+        spread = np.array([e.sigma for e in p.slips])
+        label = f"{p.place.name}, truth {p.place.slip:g}"
+        curves.append(Curve(label, np.arange(1.0, DRIVES + 1), y, y - spread, y + spread))
+    title = "Transfer-factor difference of independent drives"
+    return Figure("figure-11", title, "drive", "difference [-]", tuple(curves))
+
+
+def _loss_figure(name: str, p: PlaceStudy) -> Figure:
+    curves = []
+    for model, errors in p.loss.errors.items():
+        low, middle, high = np.quantile(errors, [0.25, 0.5, 0.75], axis=1)
+        curves.append(Curve(model, p.loss.durations, middle, low, high))
+    title = f"Largest error while tracking is lost, {p.place.name} (slip difference {p.place.slip:g})"
+    return Figure(name, title, "time without tracking [s]", "largest error [m], median and quartiles", tuple(curves))

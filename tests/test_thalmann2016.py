@@ -1,0 +1,161 @@
+import csv
+import io
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from conftest import Run
+from skidsteer.documents import reproduction_document
+from skidsteer.drive import Series
+from skidsteer.errors import RequestError
+from skidsteer.reproduce import repeated_samples, thalmann2016
+from skidsteer.reproduce.figure import Curve, Figure, draw, to_csv
+from skidsteer.reproduce.papers import PAPERS, write
+from skidsteer.reproduce.rows import Reproduction, Row
+from skidsteer.reproduce.rows import to_csv as to_rows
+from skidsteer.reproduce.thalmann_drives import COUNT, LABORATORY, counted, drive, with_repeats
+
+
+def test_counts_of_the_encoders_add_up_to_what_was_rolled() -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    rims = Series(t, np.stack([0.5 + 0.2 * np.sin(t), 0.3 + 0.0 * t], axis=1))
+    wheels = counted(rims)
+    rolled = wheels.values.sum(axis=0) * 0.1
+    assert_allclose(rolled, rims.values[: 10 * len(wheels)].sum(axis=0) * 0.01, atol=COUNT)
+    assert_allclose(np.diff(wheels.t), 0.1)
+
+
+def test_repeats_come_under_acceleration_on_one_side() -> None:
+    t = 0.1 * np.arange(400)
+    v = np.clip(0.025 * np.arange(400.0), 0.0, 5.0)
+    clean = Series(t, np.stack([v, v], axis=1))
+    wheels, repeated = with_repeats(clean, 0.5, np.random.default_rng(0))
+    assert not repeated.all(axis=1).any()
+    assert not repeated[201:].any()  # at constant speed
+    assert 60 < repeated.sum() < 140
+    k, side = np.argwhere(repeated)[0]
+    assert wheels.values[k, side] == clean.values[k - 1, side]
+    assert_allclose(wheels.values[~repeated], clean.values[~repeated])
+
+
+def test_simulated_drives_last_6_to_7_minutes_at_half_a_metre_a_second() -> None:
+    wheels, tracking = drive(LABORATORY, 0)
+    assert 360.0 < wheels.t[-1] < 420.0
+    assert 0.4 < np.abs(wheels.values).mean() < 0.6
+    assert np.ptp(tracking.positions.values, axis=0).max() < 20.0
+    assert not np.array_equal(drive(LABORATORY, 1)[0].values[:100], wheels.values[:100])
+
+
+def test_repeated_samples_are_found_by_the_alternative_model_and_not_by_the_basic_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(repeated_samples, "RUNS", 60)
+    for disturbance in (0.05, 0.25):
+        basic = repeated_samples.detection("basic", disturbance)
+        alternative = repeated_samples.detection("alternative", disturbance)
+        assert alternative.found > 0.8
+        assert alternative.false < 0.01
+        assert basic.found <= basic.false  # what it excludes is rather the good samples
+
+
+def test_two_phases_at_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(thalmann2016, "DRIVES", 2)
+    monkeypatch.setattr(thalmann2016, "DURATIONS", (20.0, 180.0))
+    monkeypatch.setattr(thalmann2016, "WINDOWS", 6)
+    done = thalmann2016.place_study(LABORATORY)
+    assert len(done.slips) == 2
+    for e in done.slips:
+        assert abs(e.value - LABORATORY.slip) < 3.0 * e.sigma
+    assert done.loss.errors["basic"].shape == (2, 6)
+    assert done.reduction[1] > 50.0
+    study = thalmann2016.Study(
+        (done, done),
+        tuple(repeated_samples.Detection(n, d, 0.5, 0.1, 0.0) for n in ("basic", "alternative") for d in (0.1, 0.2)),
+    )
+    rows = thalmann2016.rows(study)
+    assert [r.verdict for r in rows[:3]] == ["reproduced"] * 3
+    figures = {f.name: f for f in thalmann2016.figures(study)}
+    assert list(figures) == [f"figure-{n}" for n in (4, 5, 10, 11, 12, 13)]
+    basic, extended = figures["figure-13"].curves
+    assert_allclose(basic.y, np.median(done.loss.errors["basic"], axis=1))
+    assert extended.label == "extended"
+    assert_allclose(figures["figure-11"].curves[0].y, [e.value for e in done.slips])
+
+
+def test_geometry_figures_follow_the_closed_form() -> None:
+    over_speed, over_radius = thalmann2016.geometry_figures()
+    ten = next(c for c in over_speed.curves if c.label == "10 Hz")
+    assert_allclose(ten.y, 1e3 * (0.1 * ten.x) ** 2 / (2.0 * 5.0), rtol=1e-3, atol=1e-9)
+    ten = next(c for c in over_radius.curves if c.label == "10 Hz")
+    assert_allclose(ten.y, 1e3 * 0.05**2 / (2.0 * ten.x), rtol=1e-2)
+
+
+def picture() -> Figure:
+    x = np.array([1.0, 2.0])
+    return Figure(
+        "figure-0", "Title", "t [s]", "y, m", (Curve("a", x, 2.0 * x), Curve("b, c", x, x, x - 0.5, x + 0.25))
+    )
+
+
+def test_a_figure_as_rows() -> None:
+    rows = list(csv.reader(io.StringIO(to_csv(picture()))))
+    assert rows[0] == ["curve", "t [s]", "y, m", "low", "high"]
+    assert rows[1:] == [
+        ["a", "1", "2", "", ""],
+        ["a", "2", "4", "", ""],
+        ["b, c", "1", "1", "0.5", "1.25"],
+        ["b, c", "2", "2", "1.5", "2.25"],
+    ]
+
+
+def test_a_figure_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    draw(picture(), tmp_path / "a.png")
+    draw(picture(), tmp_path / "a.svg")
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert "<svg" in (tmp_path / "a.svg").read_text()
+
+
+def test_drawing_without_matplotlib_names_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+    with pytest.raises(RequestError, match=r"pip install 'skidsteer\[figures\]'"):
+        draw(picture(), tmp_path / "a.png")
+
+
+def test_a_table_as_rows() -> None:
+    text = to_rows((Row("a, b", 2.0, 2.5, "deviates", "why"), Row("c", float("nan"), 1.0, "reproduced")))
+    assert list(csv.reader(io.StringIO(text))) == [
+        ["what", "paper", "ours", "difference", "verdict", "reason"],
+        ["a, b", "2", "2.5", "0.5", "deviates", "why"],
+        ["c", "", "1", "", "reproduced", ""],
+    ]
+
+
+def test_the_command_prints_and_writes(run: Run, tmp_path: Path) -> None:
+    done = run("reproduce", "wang2015", "--json", "--out", tmp_path / "new")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["paper"] == "wang2015"
+    assert document["figures"] == []
+    row = document["rows"][0]
+    assert row["difference"] == pytest.approx(row["ours"] - row["paper"])
+    assert (tmp_path / "new" / "table.csv").read_text().startswith("what,paper,ours")
+    unknown = run("reproduce", "nobody2020")
+    assert unknown.returncode == 1
+    assert unknown.stderr.strip() == "skidsteer: no paper 'nobody2020'; there are: " + ", ".join(PAPERS)
+
+
+def test_figures_are_written_and_told(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    done = Reproduction((Row("a", 1.0, 1.0, "reproduced"),), (picture(),))
+    files = write(done, tmp_path)
+    assert (
+        {f.name for f in files} == {f.name for f in tmp_path.iterdir()} == {"table.csv", "figure-0.csv", "figure-0.svg"}
+    )
+    document = reproduction_document("p", done)
+    assert document["figures"][0]["curves"][1]["low"] == [0.5, 1.5]
+    assert "low" not in document["figures"][0]["curves"][0]
