@@ -16,10 +16,12 @@ from conftest import Run
 from skidsteer.calibration import MotionSigma, Observability, WeakDirection
 from skidsteer.doctor import examine
 from skidsteer.drive import Drive, Series
-from skidsteer.identify import observability
+from skidsteer.identify import advice as advising
+from skidsteer.identify.advice import candidates
 from skidsteer.identify.calibrate import calibrate, judge_drive
 from skidsteer.identify.least_squares import Fit, FitOptions, _covariance, fit
-from skidsteer.identify.observability import candidates, observe, observe_drive, weak_directions
+from skidsteer.identify.motions import known_motions
+from skidsteer.identify.observability import observe, observe_drive, typical_speed, weak_directions
 from skidsteer.io.calibration_file import load_calibration, save_calibration
 from skidsteer.io.folder import write_folder
 from skidsteer.models import Differential, Icr, Model, Multiplier, ScheduledIcr, SymmetricIcr
@@ -156,9 +158,9 @@ def test_advice_keeps_its_promise(rows: list[list[float]], words: str) -> None:
     found, before = judged(driven(rows))
     (advice,) = before.advice
     promised = float(advice.split("would be known to ")[1].split()[0])
-    speed = observability._typical_speed([driven(rows)])
+    speed = typical_speed([driven(rows)])
     (steps,) = [r for text, r in candidates(P3AT, speed, found.model).items() if text.startswith(words)]
-    _, after = judged(driven(rows, tail=observability._rims(steps)))
+    _, after = judged(driven(rows, tail=advising._rims(steps)))
     assert after.sentences == ()
     motion = advice.split(": ")[1].split(" would")[0]
     (reached,) = [m.sigma for m in after.motions if m.motion == motion]
@@ -171,7 +173,7 @@ def test_advice_is_computed_not_looked_up(monkeypatch: pytest.MonkeyPatch) -> No
 
     def only(*words: str) -> tuple[str, ...]:
         monkeypatch.setattr(
-            observability, "candidates", lambda *a: {k: v for k, v in offers(*a).items() if k.startswith(words)}
+            advising, "candidates", lambda *a: {k: v for k, v in offers(*a).items() if k.startswith(words)}
         )
         return judged(driven(STRAIGHTS))[1].advice
 
@@ -180,8 +182,35 @@ def test_advice_is_computed_not_looked_up(monkeypatch: pytest.MonkeyPatch) -> No
     assert advice.startswith("add one full circle each way")
 
 
+def test_the_faster_manoeuvre_keeps_to_the_wheels() -> None:
+    slow, quick = candidates(P3AT, 0.3, TRUTH), candidates(P3AT, 0.6, TRUTH)
+    assert [text for text in slow if text.endswith("m/s")] == ["one full circle each way at 0.45 m/s"]
+    assert [text for text in quick if text.endswith("m/s")] == ["one full circle each way at 0.69 m/s"]
+    for rows in (*slow.values(), *quick.values()):
+        assert np.abs(rows[:, 1:]).max() <= 0.69
+    for text, rows in slow.items():
+        moved = TRUTH.twist(rows[:, 1], rows[:, 2]) * rows[:, :1]
+        if "straight" in text:
+            assert_allclose(moved[:, 0], [10.0 * 0.93, -10.0 * 0.93])  # the rims roll 10 m
+        else:
+            assert_allclose(np.abs(moved[:, 2]), (2.0 if "spot" in text else 1.0) * 2.0 * np.pi)
+            assert moved[0, 2] * moved[1, 2] < 0.0
+
+
+def test_lasting_errors_widen_what_a_freer_model_would_know() -> None:
+    """Judged by another model than the fitted one, the information is divided as the fit's variances were raised."""
+    drive = driven(LITTLE_OF_ALL)
+    windows = increment_windows(drive)
+    found = fit(SymmetricIcr.nominal(P3AT), [drive], [windows])
+    sigmas = [
+        observe(replace(found, inflated=factor), [drive], [windows], FitOptions()).determined["icr_x"]
+        for factor in (1.0, 4.0)
+    ]
+    assert sigmas[1] == pytest.approx(2.0 * sigmas[0], rel=0.01)
+
+
 def test_rims_of_a_manoeuvre_by_hand() -> None:
-    rims = observability._rims(np.array([[2.0, 0.4, 0.2], [1.0, -0.2, 0.2]]))
+    rims = advising._rims(np.array([[2.0, 0.4, 0.2], [1.0, -0.2, 0.2]]))
     at = dict(zip(np.round(rims.t, 3).tolist(), rims.values.tolist(), strict=True))
     assert_allclose([at[1.0], at[1.5], at[2.0], at[4.0]], [[0, 0], [0.2, 0.1], [0.4, 0.2], [0.4, 0.2]], atol=1e-12)
     assert_allclose(
@@ -216,7 +245,7 @@ def _moved(model: Model, at: Model, speed: float) -> FloatArray:
 
 def test_motions_have_the_slopes_of_a_rollout() -> None:
     model, speed = ScheduledIcr(0.26, -0.31, -0.03, 0.93, 0.93, 0.2, 0.3, 0.1, 0.4), 0.6
-    motions, slopes = observability._motions(model, speed, 0.4)
+    motions, slopes = known_motions(model, speed, 0.4)
     tolerance = np.array([m.tolerance for m in motions])
     h = 1e-6
     for i in range(len(model.theta)):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.stats import binom, chi2
 
 from skidsteer import cli
@@ -16,15 +17,25 @@ from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.identify.calibrate import CalibrateOptions
+from skidsteer.identify.holdout import held_out
 from skidsteer.identify.least_squares import Fit, FitOptions, fit
 from skidsteer.identify.select import Comparison, Excess
-from skidsteer.identify.terrain import Difference, Pair, Terrains, calibrate_profiles, compare_terrains, wald_test
+from skidsteer.identify.terrain import (
+    Difference,
+    Pair,
+    Terrains,
+    _same_windows,
+    calibrate_profiles,
+    compare_terrains,
+    wald_test,
+)
 from skidsteer.io.calibration_file import calibration_text, load_calibration, save_calibration
 from skidsteer.io.folder import write_folder
+from skidsteer.metrics import window_errors
 from skidsteer.models import Differential, Icr, Multiplier
 from skidsteer.simulate import Sensors, kinematic_drive, matching_noise, rims_from_manoeuvres
 from skidsteer.vehicle import preset
-from skidsteer.windows import increment_windows
+from skidsteer.windows import Timing, increment_windows
 
 P3AT = preset("pioneer-p3at")
 ASPHALT = Icr(0.26, -0.31, -0.03, 0.93, 0.91)
@@ -180,6 +191,20 @@ def test_the_same_ground_is_not(grounds: dict[str, list[Drive]]) -> None:
     assert pair.a_on_b is not None
     assert pair.a_on_b.yaw is not None
     assert pair.a_on_b.yaw.low < 0.0 < pair.a_on_b.yaw.high
+
+
+def test_errors_are_compared_on_the_same_windows() -> None:
+    """Held-out errors come fold by fold, those of another model drive by drive."""
+    drives = [driven(ASPHALT, 7, 24), driven(ASPHALT, 8, 16)]
+    own = held_out(Icr.nominal(P3AT), drives, KNOWN)
+    assert own is not None
+    parts = [window_errors(GRASS, drive, Timing(0.15, 0.08)) for drive in drives]
+    matched = _same_windows(parts, own)
+    assert_allclose(matched.start, own.errors.start)
+    assert_allclose(matched.end, own.errors.end)
+    for i in (0, 1):
+        here = own.block // 1000 == i
+        assert set(matched.yaw[here]) <= set(parts[i].yaw)
 
 
 # Profiles

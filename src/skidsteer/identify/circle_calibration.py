@@ -25,8 +25,8 @@ from skidsteer.identify.circle_test import (
     runs_from_drive,
     runs_on,
 )
+from skidsteer.identify.judged import DETERMINED
 from skidsteer.identify.least_squares import find_offset
-from skidsteer.identify.observability import DETERMINED
 from skidsteer.identify.start import FitOptions
 from skidsteer.identify.unknowns import PRIOR_SIGMA, UNITS
 from skidsteer.models import Model, Multiplier, SymmetricIcr

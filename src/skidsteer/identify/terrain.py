@@ -19,8 +19,8 @@ from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.identify.calibrate import CalibrateOptions, Progress, calibrate, refuse_unusable, settled
 from skidsteer.identify.holdout import HeldOutErrors, held_out
+from skidsteer.identify.judged import DETERMINED
 from skidsteer.identify.least_squares import Fit, FitOptions, fit, fit_supported
-from skidsteer.identify.observability import DETERMINED
 from skidsteer.identify.select import Comparison, compare_errors
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import MODELS, Multiplier
