@@ -16,7 +16,7 @@ from skidsteer.terramechanics.terrain import Terrain
 
 ITERATIONS = 200
 FIRST_STEP = 0.1  # [s]
-OVERSHOOT = 1.5  # times the lack before: more is refused
+SHORTEST_STEP = 1e-4  # [s] that is taken even where the lack grows: the motion in time leads past that
 TOLERANCE = 1e-10  # of forces, relative to the weight
 
 
@@ -64,9 +64,7 @@ def rims_on_path(path_curvature: ArrayLike, speed: ArrayLike) -> FloatArray:
         speed: [m/s] mean of both rims, or half their difference where that is more (|lambda| < 1).
     """
     ratio, speed = np.asarray(path_curvature, dtype=float), np.asarray(speed, dtype=float)
-    with np.errstate(divide="ignore"):
-        apart = np.where(np.abs(ratio) > 1.0, speed / np.abs(ratio), speed)
-    total = np.where(np.abs(ratio) > 1.0, speed * np.sign(ratio), speed * ratio)
+    total, apart = speed * np.clip(ratio, -1.0, 1.0), speed / np.maximum(np.abs(ratio), 1.0)
     return np.stack([total - apart, total + apart], axis=-1)
 
 
@@ -100,9 +98,9 @@ def steady_turn(
             break
         tried = twist - np.linalg.solve(balance.slope + _inertia(robot) / step[:, None, None], balance.lack)[..., 0]
         after = _balance(robot, terrain, tried, flat, quadrature)
-        better = after.size < OVERSHOOT * balance.size
+        better = (after.size < balance.size) | (step <= SHORTEST_STEP)
         change = np.where(better, balance.size / np.maximum(after.size, TOLERANCE), 0.1)
-        step = step * np.clip(change, 0.1, 100.0)
+        step = np.maximum(step * np.clip(change, 0.1, 100.0), SHORTEST_STEP)
         twist = np.where(better[:, None], tried, twist)
         balance = balance.where(better, after)
     _refuse_unbalanced(robot, flat, balance)
