@@ -45,6 +45,7 @@ SOURCE_OPTIONS = {
     "base_frame": ("FRAME", "of a bag: the robot's frame"),
     "map_frame": ("FRAME", "of a bag: the reference's frame"),
     "separation_multiplier": ("X", "of a bag: that the wheel odometry was made with"),
+    "plate": ("WIDTH[,X,Y,YAW][,SIDE]", "on the robot, seen by a scanner that stands left|right|front|back of it"),
 }
 
 

@@ -14,11 +14,12 @@ import numpy as np
 
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
-from skidsteer.io.messages import JOINT_STATE, TF_TYPES, Samples, gather
+from skidsteer.io.messages import JOINT_STATE, LASER_SCAN, TF_TYPES, Samples, gather
 from skidsteer.io.open_bag import is_bag, open_bag
 from skidsteer.io.options import AUTOMATIC, BagOptions
 from skidsteer.io.raw import BagTopic, Source, shown
 from skidsteer.io.reference import Frames, antenna_place, read_gyro, read_reference
+from skidsteer.io.scans import plate_poses
 from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
 from skidsteer.io.topics import ROLES, Choice, Looks, candidates, choose, offer
 from skidsteer.io.wheels import joint_wheels, pair_wheels, sides_in, twist_wheels
@@ -97,6 +98,7 @@ def read_bag_noted(
         looks = _look(source, options)
         choice = choose(source.topics, options, looks)
         _refuse_without_wheels(path, source, choice)
+        _refuse_plate_without_scans(path, source, choice, options)
         notes += choice.notes()
         tables = _tables(source, choice, notes)
         parts = _parts(tables, choice, vehicle, options, notes)
@@ -128,7 +130,7 @@ def _look(source: Source, options: BagOptions) -> Looks:
     with_sides = [topic.name for topic in joints if _has_sides(_peek(source, topic, _LOOK), options)]
     transforms = [topic for topic in source.topics if topic.type in TF_TYPES]
     frames = Frames.of({topic: _peek(source, topic, _LOOK_TF) for topic in transforms}, options)
-    return Looks(frozenset(with_sides), frames.chain is not None)
+    return Looks(frozenset(with_sides), frames.chain is not None, options.plate is not None)
 
 
 def _peek(source: Source, topic: BagTopic, limit: int) -> list[Samples]:
@@ -152,6 +154,14 @@ def _refuse_without_wheels(path: str | os.PathLike[str], source: Source, choice:
     joints = [topic.name for topic in source.topics if topic.type == JOINT_STATE and topic.count]
     hint = f"; name the wheels of {joints[0]} with --left-joints and --right-joints" if joints else ""
     raise RequestError(f"{path}: no topic serves as wheel speeds{hint}; {offer(source.topics)}")
+
+
+def _refuse_plate_without_scans(
+    path: str | os.PathLike[str], source: Source, choice: Choice, options: BagOptions
+) -> None:
+    chosen = choice.chosen.get("reference")
+    if options.plate is not None and (chosen is None or chosen.topics[0].type != LASER_SCAN):
+        raise RequestError(f"{path}: no laser scans to see a plate in were chosen; {offer(source.topics)}")
 
 
 def _tables(source: Source, choice: Choice, notes: list[str]) -> dict[BagTopic, list[Samples]]:
@@ -180,8 +190,12 @@ def _parts(
             notes.append(f"{shown(topic.name)}: none of its {topic.count} messages can be read")
     wheels, clock = _wheels(choice.chosen["wheels"].topics, tables, vehicle, options, notes)
     parts = {"wheels": wheels}
-    reader = _Reader(tables, Frames.of(tables, options), vehicle, options, clock, notes)
-    asked = {"reference": options.reference_topic, "imu": options.imu_topic, "command": options.command_topic}
+    reader = _Reader(tables, Frames.of(tables, options), vehicle, wheels, options, clock, notes)
+    asked = {
+        "reference": options.reference_topic or options.plate,
+        "imu": options.imu_topic,
+        "command": options.command_topic,
+    }
     for role, candidate in choice.chosen.items():
         try:
             parts.update(reader.part(role, candidate.topics[0]))
@@ -201,6 +215,7 @@ class _Reader:
     tables: Mapping[BagTopic, list[Samples]]
     frames: Frames
     vehicle: Vehicle
+    wheels: Timed
     options: BagOptions
     clock: Clock
     notes: list[str]
@@ -210,6 +225,8 @@ class _Reader:
         if role == "wheels":
             return {}
         found = _usable(self.tables, topic, self.notes)
+        if topic.type == LASER_SCAN:
+            return {"pose": plate_poses(topic, found, self.wheels, self.options.plate, self.clock, self.notes)}
         if role == "reference":
             return read_reference(topic, found, self.frames, self.clock, self.notes)
         if role == "imu":

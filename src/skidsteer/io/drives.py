@@ -30,7 +30,8 @@ def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag
     Args:
         path: a drive folder, CSV files joined by commas (``wheels.csv,pose.csv``), a bag, or ``sample:NAME``.
         vehicle: of the drive; None: what is written beside it. A bag needs it.
-        bag: topics, joints and frames of a bag, where the automatic choice does not fit.
+        bag: topics, joints and frames of a bag, where the automatic choice does not fit; and the plate on the robot
+            that the laser scans of any drive show.
 
     Raises:
         DataError: the files cannot be read as a drive.
@@ -41,13 +42,13 @@ def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag
         return sample(text.removeprefix(PREFIX))
     names = text.split(",")
     if all(name.lower().endswith(".csv") for name in names):
-        return read_csv_files(names, vehicle)
+        return read_csv_files(names, vehicle, bag.plate)
     if not os.path.exists(text):
         raise DataError(f"{text}: no such drive; {NOT_A_DRIVE}")
     if looks_like_a_bag(text):
         return _load_bag(text, vehicle, bag)
     if Path(text).is_dir():
-        return read_folder(text, vehicle)
+        return read_folder(text, vehicle, bag.plate)
     raise DataError(f"{text}: not a drive; {NOT_A_DRIVE}")
 
 

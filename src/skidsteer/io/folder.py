@@ -7,8 +7,9 @@ ignored. Every fault of a file is a `DataError` of one line that names the file,
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,16 @@ from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError
 from skidsteer.io import atomic
 from skidsteer.io.csv_table import Table, column_if_numeric, line_of, numbers, read_table
+from skidsteer.io.scans import SCANS_FILE, is_scan_table, plate_series
 from skidsteer.io.text_file import listed, names_in, read_bytes, short
 from skidsteer.io.vehicle_file import LARGEST, parse_vehicle, read_vehicle, vehicle, vehicle_text
+from skidsteer.laser.plate import Plate
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import PRESETS, Vehicle
 
 __all__ = ["read_csv_files", "read_folder", "read_vehicle", "vehicle", "write_folder"]
+
+log = logging.getLogger(__name__)
 
 COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {  # part of a drive -> its file and its columns beside t
     "wheels": ("wheels.csv", ("v_left", "v_right")),
@@ -33,23 +38,25 @@ COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {  # part of a drive -> its fi
     "wheel_command": ("cmdwheels.csv", ("v_left_cmd", "v_right_cmd")),
 }
 FILES = {part: file for part, (file, _) in COLUMNS.items()} | {"segments": "segments.csv"}
+READ = FILES | {"scans": SCANS_FILE}  # raw scans are read only: a folder that holds them is never replaced
 VEHICLE_FILE = "vehicle.yaml"
 SEGMENT_COLUMNS = ("seg", "t_start", "t_end")
 
 LATEST_TIME = 1e11  # [s] after 1970: the year 5138, while milliseconds since 1970 passed it in 1973
 
 
-def read_folder(path: str | os.PathLike[str], vehicle: Vehicle | None = None) -> Drive:
+def read_folder(path: str | os.PathLike[str], vehicle: Vehicle | None = None, plate: Plate | None = None) -> Drive:
     """Read a drive folder.
 
     Args:
         path: the folder. ``pose.csv`` is preferred to ``position.csv``. The numeric columns of ``segments.csv`` beside
             ``seg``, ``t_start`` and ``t_end`` become ``Drive.labels``.
         vehicle: taken in place of ``vehicle.yaml``.
+        plate: on the robot: its poses in ``scans.csv`` are the reference, not those of any other file.
 
     Returns:
         The drive, named after the folder. Its ``sha256`` is that of the files used, one after the other in the order
-        of ``FILES``, then ``vehicle.yaml``.
+        of ``READ``, then ``vehicle.yaml``.
 
     Raises:
         DataError: no such folder, no ``wheels.csv`` in it, no vehicle, or a file that cannot be used.
@@ -58,12 +65,14 @@ def read_folder(path: str | os.PathLike[str], vehicle: Vehicle | None = None) ->
     names = names_in(path)
     if FILES["wheels"] not in names:
         raise DataError(f"{path}: no wheels.csv (t, v_left, v_right); there are: {listed(sorted(names))}")
-    unused = "position" if FILES["pose"] in names else ""
-    tables = {part: read_table(path / file) for part, file in FILES.items() if file in names and part != unused}
-    return _assemble(_folder_name(path), str(path), tables, vehicle)
+    there = {part: path / file for part, file in READ.items() if file in names}
+    tables = {part: read_table(there[part]) for part in _used(there, plate, str(path))}
+    return _assemble(_folder_name(path), str(path), tables, vehicle, plate)
 
 
-def read_csv_files(paths: Sequence[str | os.PathLike[str]], vehicle: Vehicle | None = None) -> Drive:
+def read_csv_files(
+    paths: Sequence[str | os.PathLike[str]], vehicle: Vehicle | None = None, plate: Plate | None = None
+) -> Drive:
     """Read CSV files that together are one drive, each recognised by its name or else by its columns.
 
     A file may hold several parts on one clock. Its ``v, omega`` are taken as a command only where nothing else is in
@@ -72,6 +81,7 @@ def read_csv_files(paths: Sequence[str | os.PathLike[str]], vehicle: Vehicle | N
     Args:
         paths: the files.
         vehicle: taken in place of the ``vehicle.yaml`` beside the file with the wheel speeds.
+        plate: as of ``read_folder``.
 
     Returns:
         The drive, named after the file with the wheel speeds, or after its folder where that is ``wheels.csv``.
@@ -89,11 +99,10 @@ def read_csv_files(paths: Sequence[str | os.PathLike[str]], vehicle: Vehicle | N
     if "wheels" not in tables:
         given = listed(map(os.path.basename, paths))
         raise DataError(f"no columns t, v_left, v_right in: {given}; add the file of the wheel speeds")
-    if "pose" in tables:
-        tables.pop("position", None)
+    used = _used(tables, plate, ", ".join(map(str, paths)))
     wheels = tables["wheels"].path
     name = _folder_name(wheels.parent) if wheels.name == FILES["wheels"] else wheels.stem
-    return _assemble(name, ", ".join(map(str, paths)), tables, vehicle)
+    return _assemble(name, ", ".join(map(str, paths)), {part: tables[part] for part in used}, vehicle, plate)
 
 
 def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
@@ -116,8 +125,21 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
     atomic.write_folder(path, files)
 
 
-def _assemble(name: str, source: str, tables: Mapping[str, Table], vehicle: Vehicle | None) -> Drive:
-    contents = {tables[part].path: tables[part].data for part in FILES if part in tables}
+def _used(parts: Iterable[str], plate: Plate | None, where: str) -> list[str]:
+    """The parts of a drive to use: of several references one."""
+    parts = list(parts)
+    if plate is not None and "scans" not in parts:
+        raise DataError(f"{where}: no {SCANS_FILE} to see a plate in; its columns are t and the bearings of the rays")
+    if plate is None and "scans" in parts and not {"pose", "position"} & set(parts):
+        raise DataError(f"{where}: scans of a plate on the robot need its measures: --plate WIDTH")
+    unused = {"pose", "position"} if plate is not None else {"scans", *(["position"] if "pose" in parts else [])}
+    return [part for part in parts if part not in unused]
+
+
+def _assemble(
+    name: str, source: str, tables: Mapping[str, Table], vehicle: Vehicle | None, plate: Plate | None
+) -> Drive:
+    contents = {tables[part].path: tables[part].data for part in READ if part in tables}
     if vehicle is None:
         file = tables["wheels"].path.parent / VEHICLE_FILE
         contents[file] = _vehicle_bytes(file)
@@ -126,6 +148,10 @@ def _assemble(name: str, source: str, tables: Mapping[str, Table], vehicle: Vehi
     wheels = series.pop("wheels")
     if len(wheels) < 2:
         raise DataError(f"{tables['wheels'].path}: has a single row; a drive needs at least two wheel samples")
+    if plate is not None:
+        series["pose"], notes = plate_series(tables["scans"], wheels, plate)
+        for note in notes:
+            log.info("%s: %s", name, note)
     segments, labels = _segments(tables["segments"]) if "segments" in tables else (None, {})
     return Drive(
         name,
@@ -140,9 +166,11 @@ def _assemble(name: str, source: str, tables: Mapping[str, Table], vehicle: Vehi
 
 
 def _parts_in(table: Table) -> list[str]:
-    for part, file in FILES.items():
+    for part, file in READ.items():
         if table.path.name == file:
             return [part]
+    if is_scan_table(table):
+        return ["scans"]
     header = set(table.header)
     parts = [part for part, (_, columns) in COLUMNS.items() if header >= {"t", *columns}]
     if "pose" in parts:

@@ -26,6 +26,7 @@ TWIST = "geometry_msgs/msg/Twist"
 TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
 IMU = "sensor_msgs/msg/Imu"
 NAVSAT = "sensor_msgs/msg/NavSatFix"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
 COUNTERS = tuple(f"std_msgs/msg/{kind}" for kind in ("Int16", "Int32", "Int64", "UInt16", "UInt32", "UInt64"))
 FLOATS = ("std_msgs/msg/Float32", "std_msgs/msg/Float64")
 
@@ -116,6 +117,16 @@ def _navsat(block: Block, bag_ns: IntArray) -> list[Samples]:
     return [Samples((block.text("header.frame_id").lstrip("/"),), bag_ns, _header_ns(block), values)]
 
 
+def _laser_scan(block: Block, bag_ns: IntArray) -> list[Samples]:
+    """Values (n, 3 + m): first bearing, step [rad], time from ray to ray [s], m ranges [m], 0 where none came back."""
+    ranges = block.column("ranges").astype(np.float64)
+    nearest, farthest = np.split(block.numbers(("range_min", "range_max")), 2, axis=1)
+    ranges[~((ranges >= nearest) & (ranges <= farthest) & (ranges < np.inf))] = 0.0
+    head = block.numbers(("angle_min", "angle_increment", "time_increment"))
+    label = (block.text("header.frame_id").lstrip("/"),)
+    return [Samples(label, bag_ns, _header_ns(block), np.concatenate([head, ranges], axis=1))]
+
+
 def _number(block: Block, bag_ns: IntArray) -> list[Samples]:
     return [Samples(("",), bag_ns, np.zeros_like(bag_ns), block.numbers(("data",)))]
 
@@ -132,6 +143,7 @@ TABLES: dict[str, Callable[[Block, IntArray], list[Samples]]] = {
     TWIST_STAMPED: _twist_stamped,
     IMU: _imu,
     NAVSAT: _navsat,
+    LASER_SCAN: _laser_scan,
     **dict.fromkeys((*COUNTERS, *FLOATS), _number),
 }
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from skidsteer.errors import RequestError
+from skidsteer.laser.plate import SIDES, Plate, Side
 
 WHEEL_UNITS = ("rad", "rad/s", "m/s", "ticks")
 
@@ -32,6 +33,7 @@ class BagOptions:
     map_frame: str | None = None
     separation: float | None = None  # [m] wheel separation in the robot's controller, for wheels from a twist
     separation_multiplier: float | None = None  # that was in force, for wheels from a twist
+    plate: Plate | None = None  # on the robot, seen by a scanner beside the field: its scans are the reference
 
     def __post_init__(self) -> None:
         for name in ("separation", "separation_multiplier"):
@@ -59,6 +61,8 @@ def parse_options(words: Mapping[str, str | None]) -> BagOptions:
     for name in ("left_joints", "right_joints"):
         if name in given:
             given[name] = tuple(given[name].split(","))
+    if "plate" in given:
+        given["plate"] = parse_plate(given["plate"])
     try:
         for name in ("separation", "separation_multiplier"):
             if name in given:
@@ -66,3 +70,22 @@ def parse_options(words: Mapping[str, str | None]) -> BagOptions:
         return BagOptions(**given)
     except ValueError as error:
         raise RequestError(f"bag options: {error}") from error
+
+
+def parse_plate(text: str) -> Plate:
+    """A plate from ``WIDTH[,X,Y,YAW][,SIDE]``, lengths in m and yaw in rad.
+
+    Raises:
+        RequestError: it is none.
+    """
+    words = [word.strip() for word in text.split(",")]
+    side = words.pop() if words[-1] in SIDES else None
+    try:
+        numbers = [float(word) for word in words]
+        if len(numbers) not in (1, 4):
+            raise ValueError(text)
+    except ValueError as error:
+        sides = "|".join(SIDES)
+        raise RequestError(f"--plate takes WIDTH[,X,Y,YAW][,{sides}] in m and rad; got '{text}'") from error
+    width, x, y, yaw = numbers if len(numbers) == 4 else (*numbers, 0.0, 0.0, 0.0)
+    return Plate(width, x, y, yaw, cast("Side | None", side))

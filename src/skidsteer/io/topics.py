@@ -11,6 +11,7 @@ from skidsteer.io.messages import (
     FLOATS,
     IMU,
     JOINT_STATE,
+    LASER_SCAN,
     NAVSAT,
     ODOMETRY,
     POINT,
@@ -29,7 +30,7 @@ from skidsteer.io.wheels import side_of, words
 ROLES = ("wheels", "reference", "imu", "command", "wheel_command")
 _TYPES = {
     "wheels": (JOINT_STATE, ODOMETRY, TWIST_STAMPED, *COUNTERS, *FLOATS),
-    "reference": (ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM, POINT, NAVSAT, *TF_TYPES),
+    "reference": (ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM, POINT, NAVSAT, LASER_SCAN, *TF_TYPES),
     "imu": (IMU,),
     "command": (TWIST, TWIST_STAMPED),
     "wheel_command": (JOINT_STATE,),
@@ -71,10 +72,11 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """What a first look into the messages has told: which joint states have wheels, whether /tf has a usable chain."""
+    """What is known before: which joint states have wheels, whether /tf has a usable chain, of a plate to be seen."""
 
     with_sides: frozenset[str]  # names of JointState topics with wheels on both sides
     has_chain: bool
+    has_plate: bool = False
 
 
 def candidates(role: str, topics: Sequence[BagTopic], looks: Looks) -> list[Candidate]:
@@ -124,6 +126,8 @@ def _score_reference(topic: BagTopic, looks: Looks) -> int | None:
         return None
     if topic.type in TF_TYPES:
         return 25 if looks.has_chain and not topic.name.endswith("_static") else None
+    if topic.type == LASER_SCAN:
+        return 40 if looks.has_plate else None
     if topic.type == NAVSAT:
         return 15 + 2 * bool(name & {"rtk"}) - 3 * bool(name & {"filtered"})
     if topic.type == POINT:

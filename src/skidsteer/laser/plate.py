@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -99,14 +100,14 @@ class Sightings:
         return f"the plate is seen in {number[SEEN]} of {len(self.status)} scans" + (f" ({rest})" if rest else "")
 
 
-def find_plate(scans: Scans, width: float, range_sigma: float | None = None) -> Sightings:
+def find_plate(scans: Scans | Sequence[Scans], width: float, range_sigma: float | None = None) -> Sightings:
     """Find the plate in each scan on its own: cluster, fit a line, check the width, take the middle of the edges.
 
     A scan is left out where no cluster is straight and as wide as the plate, where two are, and where what could be the
     plate meets the edge of the field.
 
     Args:
-        scans: n scans.
+        scans: n scans; or several lots of one scanner that changed its bearings, in any order.
         width: [m] of the plate.
         range_sigma: [m] standard deviation of one range; None: as neighbouring rays tell.
 
@@ -115,10 +116,24 @@ def find_plate(scans: Scans, width: float, range_sigma: float | None = None) -> 
         RequestError: the width is not positive.
     """
     Plate(width)
-    found = _find(scans, width, _noise(scans, width) if range_sigma is None else range_sigma)
+    lots = [scans] if isinstance(scans, Scans) else list(scans)
+    sigma = _noise(max(lots, key=len), width) if range_sigma is None else range_sigma
+    found = _in_order([_find(lot, width, sigma) for lot in lots], np.concatenate([lot.t for lot in lots]))
     if not len(found.t):
         raise DataError(f"scans: {found.tally()}; is the plate {width:g} m wide, in the field and as high as the beam?")
     return found
+
+
+def _in_order(parts: Sequence[Sightings], t: FloatArray) -> Sightings:
+    """Several lots as one, sorted by time; ``t`` (n,) are the times of all scans."""
+    whole = _joined(parts)
+    order = np.argsort(whole.t, kind="stable")
+    columns = {field.name: getattr(whole, field.name)[order] for field in fields(Sightings) if field.name != "status"}
+    return Sightings(**columns, status=whole.status[np.argsort(t, kind="stable")])
+
+
+def _joined(parts: Sequence[Sightings]) -> Sightings:
+    return Sightings(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Sightings)))
 
 
 def _noise(scans: Scans, width: float) -> float:
@@ -133,8 +148,7 @@ def _noise(scans: Scans, width: float) -> float:
 
 def _find(scans: Scans, width: float, sigma: float) -> Sightings:
     starts = range(0, len(scans), CHUNK)
-    parts = [_in_chunk(scans.rows(slice(start, start + CHUNK)), width, sigma) for start in starts]
-    return Sightings(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Sightings)))
+    return _joined([_in_chunk(scans.rows(slice(start, start + CHUNK)), width, sigma) for start in starts])
 
 
 def _in_chunk(scans: Scans, width: float, sigma: float) -> Sightings:

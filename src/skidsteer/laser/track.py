@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,11 +63,13 @@ class Track:
         return float(np.diff(np.interp([start, end], self.t, self.pose[:, 2]))[0])
 
 
-def track_plate(scans: Scans, plate: Plate, wheels: Series | None = None, rate: float = RATE) -> Track:
+def track_plate(
+    scans: Scans | Sequence[Scans], plate: Plate, wheels: Series | None = None, rate: float = RATE
+) -> Track:
     """Poses of the robot from scans of the plate on it.
 
     Args:
-        scans: of one scanner that stands still.
+        scans: of one scanner that stands still; several lots where it changed its bearings.
         plate: on the robot. Its ``side`` tells which way round it is seen first.
         wheels: (n, 2) v_left, v_right [m/s] on the clock of the scans. Where the side is not told, and where the plate
             was out of sight for more than ``BRIDGE``, the way the robot rolls decides.
