@@ -28,7 +28,7 @@ from skidsteer.windows import MAX_GAP, increment_windows
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("SKIDSTEER_DATA", ROOT.parent / "shared" / "data"))
-ROBOTS = int(os.environ.get("SKIDSTEER_ROBOTS", "30"))
+ROBOTS = int(os.environ.get("SKIDSTEER_ROBOTS", "16"))
 CASES = (  # vehicle, model, area [m], highest speed [m/s]; None: the command's own
     ("jackal", "icr", 10.0, None),
     ("jackal", "scheduled_icr", 10.0, None),
@@ -196,7 +196,10 @@ def both_models() -> list[str]:
         for told, setup in setups.items():
             sigmas, other = setup.sigmas(setup.information(rims)), unplanned_sigmas(setup, limits, request)
             cells = " | ".join(f"{sigmas[p.name] / other[p.name]:.2f}" for p in setup.model.PARAMETERS)
-            lines.append(f"| {made_for} | {told} | {cells} |" + " |" * (9 - len(setup.model.PARAMETERS)))
+            lines.append(
+                f"| {made_for} | {told} | {cells} |"
+                + " |" * (len(ScheduledIcr.PARAMETERS) - len(setup.model.PARAMETERS))
+            )
     return lines
 
 

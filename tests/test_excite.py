@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from skidsteer.calibration import Calibration, Estimate, Provenance
 from skidsteer.drive import Series
 from skidsteer.errors import RequestError
 from skidsteer.identify.design import Design, Request, design_drive, make_request, setup_of
@@ -117,7 +118,7 @@ def dense_information(setup: Setup, rims: Series) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    "model", [Icr(0.3, -0.25, 0.05, 0.95, 1.03), ScheduledIcr(0.3, -0.25, 0.05, 0.95, 1.03, 0.1, 0.2, 0.1, 0.3)]
+    "model", [Icr(0.3, -0.25, 0.05, 0.95, 1.03), ScheduledIcr(0.3, -0.25, 0.05, 0.95, 1.03, 0.1, 0.2, 0.1, 0.15, 0.3)]
 )
 def test_information_is_that_of_all_increments_at_once(model: Model) -> None:
     noise = Noise(position=0.02, yaw=0.01, stamp=1e-4, walk=0.05, turn=0.04)
@@ -264,7 +265,7 @@ def test_an_excursion_is_what_nearly_all_stay_within() -> None:
     assert reach.end == pytest.approx(reach.x)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.sampled_from([(6.0, 6.0, 120.0), (12.0, 5.0, 60.0), (30.0, 30.0, 240.0)]), st.integers(0, 5))
 def test_any_request_keeps_its_area(request_: tuple[float, float, float], seed: int) -> None:
     length, width, time = request_
@@ -274,6 +275,35 @@ def test_any_request_keeps_its_area(request_: tuple[float, float, float], seed: 
     assert made.excursion.x <= room[0]
     assert made.excursion.y <= room[1]
     assert made.duration <= time
+
+
+def test_what_is_not_said_follows_from_the_calibration() -> None:
+    vehicle = preset("pioneer-p3at")
+    names = (*(p.name for p in Icr.PARAMETERS), "lag", "time_offset")
+    values = (0.2553, -0.3071, -0.0120, 0.9271, 0.9049, 0.08, 0.15)
+    calibration = Calibration(
+        vehicle,
+        Icr(*values[:5]),
+        names,
+        {name: Estimate(value, 1e-3, "") for name, value in zip(names, values, strict=True)},
+        1e-6 * np.eye(7),
+        Noise(position=0.01, walk=0.004, turn=0.008),
+        Provenance((), {}, "", ""),
+    )
+    setup, request = make_request("10x6", 2.0, calibration=calibration)
+    assert setup.vehicle == vehicle
+    assert setup.model == calibration.model
+    assert setup.noise == calibration.noise
+    assert setup.timing == Timing(0.0, 0.08)
+    assert request == Request((10.0, 6.0), 120.0)
+    limits = Limits.of(setup.vehicle)
+    known, unknown = (design_drive(setup, limits, request, c) for c in (calibration, None))
+    assert known.excursion.end < unknown.excursion.end
+    assert make_request("10x6", 2.0, JACKAL)[0].model == expected_model(ScheduledIcr, JACKAL)
+    with pytest.raises(RequestError, match="calibration is of icr; give --model icr"):
+        make_request("10x6", 2.0, model="curvature", calibration=calibration)
+    with pytest.raises(RequestError, match="which robot"):
+        make_request("10x6", 2.0)
 
 
 @pytest.mark.parametrize(

@@ -253,10 +253,10 @@ def _chosen(candidates: list[Candidate], time: float, prior: FloatArray, enough:
 
 
 def make_request(
-    vehicle: Vehicle,
     area: str,
     minutes: float,
-    model: str,
+    vehicle: Vehicle | None = None,
+    model: str | None = None,
     calibration: Calibration | None = None,
     reference_rate: float = 10.0,
     position_noise: float | None = None,
@@ -264,11 +264,17 @@ def make_request(
     margin: float = 0.25,
     seed: int = 0,
 ) -> tuple[Setup, Request]:
-    """Set-up and request from the words of a command line.
+    """Set-up and request from the words of a command line; vehicle and model are the calibration's unless given.
+
+    Without a calibration the model is scheduled_icr: what determines it determines the constant ICR, too.
 
     Raises:
         RequestError: a word or number that cannot be.
     """
+    if vehicle is None and calibration is None:
+        raise RequestError("which robot? give --vehicle NAME|FILE or --calibration FILE")
+    vehicle = vehicle or calibration.vehicle  # type: ignore[union-attr]
+    model = model or (calibration.model.NAME if calibration is not None else "scheduled_icr")
     if model not in MODELS:
         raise RequestError(f"no model '{model}'; there are: {', '.join(MODELS)}")
     yaw_noise = None if yaw_noise_deg is None else float(np.radians(yaw_noise_deg))
