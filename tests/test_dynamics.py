@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
+from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.kernels import ground as kernels
-from skidsteer.models import Differential
+from skidsteer.models import Differential, Icr
 from skidsteer.se2 import FloatArray, between, compose, rotate
 from skidsteer.simulate import Motion, Sensors, kinematic_drive, recorded, rims_from_manoeuvres
 from skidsteer.terramechanics import dynamics
@@ -354,6 +356,26 @@ def test_the_gyro_of_a_kinematic_plant_turns_as_its_reference() -> None:
     gyro, reference = np.diff(np.interp(pose.t, t, turned)), between(pose.values[:-1], pose.values[1:])[:, 2]
     assert_allclose(gyro, reference, atol=2e-4)
     assert np.abs(reference).max() > 0.1
+
+
+def test_calibration_finds_the_icrs_of_the_plant() -> None:
+    """At low speed, those nearest to true twists and rim speeds. How many within 2 sigma, docs/ground.md tells."""
+    turns = [[4.0, v, w] for v in (0.2, 0.3) for w in (0.3, -0.3, 0.5, -0.5)]
+    rows = np.array([[1.0, 0.0, 0.0], *turns, [4.0, 0.3, 0.0], [3.0, -0.2, 0.0], [3.0, 0.0, 0.6], [1.0, 0.0, 0.0]])
+    motion = move(P3AT, LAB, rims_from_manoeuvres(rows, Differential(0.6)))
+    drive = recorded("d", P3AT.vehicle, motion, Sensors(10.0, 0.005, 0.003, encoder_rate=50.0, gyro_rate=50.0), seed=4)
+    found = calibrate(drive, options=CalibrateOptions(model="icr")).parameters
+    weights = np.array([200.0, 200.0, 3000.0])
+    nominal = Icr.nominal(P3AT.vehicle)
+    true = least_squares(
+        lambda theta: ((nominal.with_theta(theta).twist(*motion.rims.T) - motion.twist) * weights).ravel(),
+        nominal.theta,
+    ).x
+    for parameter, value in zip(Icr.PARAMETERS, true, strict=True):
+        estimate = found[parameter.name]
+        assert abs(estimate.value - value) < 3.0 * estimate.sigma
+        assert estimate.sigma < 0.02
+    assert true[2] > 0.03  # ahead by more than the centre of mass
 
 
 def test_a_drive_too_short_for_a_reference() -> None:
