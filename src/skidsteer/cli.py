@@ -341,6 +341,9 @@ def odometry(
     no_gyro: Annotated[bool, typer.Option("--no-gyro", help="leave the gyro out")] = False,
     lose_after: Annotated[float | None, typer.Option(metavar="S", help="lose the reference after S seconds")] = None,
     fit_delay: Annotated[bool, typer.Option("--fit-delay", help="find the reference's time offset first")] = False,
+    phases: Annotated[
+        float | None, typer.Option(metavar="S", help="learn slips from positions for S seconds, then lose them")
+    ] = None,
     profile: Profile = None,
     json: Json = False,
 ) -> None:
@@ -349,11 +352,13 @@ def odometry(
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.covariance_csv import write_covariances
     from skidsteer.io.tum import write_tum
+    from skidsteer.odometry.phases import run_phases
     from skidsteer.odometry.run import OdometryOptions, run
 
     options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
     known = load_calibration(calibration).profile(profile)
-    result = run(known, source.load_one(drive, otherwise=known.vehicle), options)
+    loaded = source.load_one(drive, otherwise=known.vehicle)
+    result = run(known, loaded, options) if phases is None else run_phases(known, loaded, phases, options)
     write_tum(out, result.track.t, result.track.poses)
     if covariance is not None:
         write_covariances(covariance, result.track.t, result.track.covariances)

@@ -69,7 +69,7 @@ class Log:
                     k += 1
                 if now == t[i]:
                     break
-                until = min(t[i], *gyro_t[g : g + 1], *when[k : k + 1])
+                until = min([t[i], *gyro_t[g : g + 1], *when[k : k + 1]])
                 happens.append(Step(wheels, float(until - now)))
                 if 0 < g < len(gyro_t) and gyro_t[g] - gyro_t[g - 1] <= MAX_GAP:
                     happens.append(self._rate(g, float(until), float(until - now)))

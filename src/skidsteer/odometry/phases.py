@@ -1,0 +1,103 @@
+"""Both phases on one drive: calibrate in the field until the reference is lost, then go on with what was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skidsteer.calibration import Calibration
+from skidsteer.drive import Drive, Series
+from skidsteer.errors import RequestError
+from skidsteer.models import Differential
+from skidsteer.odometry.in_field import calibrate_in_field, tune
+from skidsteer.odometry.kinematic_ekf import thalmann_filter
+from skidsteer.odometry.reckoning import reckon
+from skidsteer.odometry.run import Distance, Odometry, OdometryOptions
+from skidsteer.odometry.state_choice import SystemNoise
+from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
+from skidsteer.odometry.track import Track
+from skidsteer.se2 import FloatArray
+
+LEAST_SIGMA = 0.01  # [m] of a position: what repeats from one to the next is not in the calibration's noise
+
+
+def run_phases(
+    calibration: Calibration, drive: Drive, after: float, options: OdometryOptions | None = None
+) -> Odometry:
+    """Odometry by Thalmann's extended filter, which learns the robot's slips from positions until they are lost.
+
+    Only the vehicle, the noise of positions and the place of the sensor are taken from the calibration: slips, delay of
+    the reference, scatter of its stamps and wandering of the pose are found on the first part of the drive. After it
+    the slips stay, and their uncertainty is in the covariance.
+
+    Args:
+        calibration: of the robot.
+        drive: continuous, with reference positions or poses, whose headings are not used.
+        after: [s] from the start, after which the reference is there to judge by only.
+        options: as they are by default.
+
+    Returns:
+        The odometry, whose distances count from then on; the slips found are in its last state.
+
+    Raises:
+        RequestError: a drive of separate windows or without reference, or one that ends before; other options.
+        DataError: the robot is not seen to move before.
+    """
+    if options not in (None, OdometryOptions()):
+        raise RequestError("two phases go with no other option of filter, reference, gyro, delay or smoothing")
+    if drive.segments is not None or drive.reference is None:
+        raise RequestError(f"{drive.name}: two phases need one continuous drive with reference positions")
+    first, last = drive.span
+    since = first + after
+    if not first < since < last:
+        raise RequestError(f"the first phase must end inside the drive of {last - first:.1f} s, got {after:g} s")
+    wheels, mount = drive.wheels, calibration.mount
+    before = wheels.between(first, since)
+    assert before is not None
+    seen = Series(drive.reference.t, drive.reference.values[:, :2], "positions")
+    sigma = max(calibration.noise.position, LEAST_SIGMA)
+    width = calibration.vehicle.track_width
+    plain = replace(thalmann_filter("extended", width, SystemNoise(2.0, 2.0, 0.02)), significance=0.0)
+    filter, tracking = tune(plain, before, Tracking(seen, sigma, lever=(mount.x, mount.y)))
+    found = calibrate_in_field(filter, before, tracking)
+    whole = replay(filter, found.replay.state(filter, 0), wheels, tracking, lost=(since, np.inf))
+    nominal = _reckoned(Differential(width), wheels, whole, tracking, since)
+    lost = whole.seen_t >= since
+    distances = [_distance(path[lost], whole.seen[lost]) if lost.any() else None for path in (whole.expected, nominal)]
+    return Odometry(filter, _track(whole, filter.names), since, *distances)
+
+
+def _reckoned(model: Differential, wheels: Series, whole: Replay, tracking: Tracking, since: float) -> FloatArray:
+    """Positions (p, 2) of the target by dead reckoning from the filter's pose at the last sample before ``since``."""
+    at = int(np.searchsorted(whole.t, since, side="right")) - 1
+    part = wheels.between(float(whole.t[at]), np.inf)
+    assert part is not None
+    poses = reckon(model, part, start=whole.means[at, :3])
+    x, y, yaw = (np.interp(whole.seen_t, part.t, column) for column in poses.T)
+    c, s = np.cos(yaw), np.sin(yaw)
+    ahead, aside = tracking.lever
+    return np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], axis=1)
+
+
+def _distance(path: FloatArray, seen: FloatArray) -> Distance:
+    away = np.hypot(*(path - seen).T)
+    return Distance(float(np.sqrt(np.mean(away**2))), float(away.max()))
+
+
+def _track(whole: Replay, names: tuple[str, ...]) -> Track:
+    used = np.isfinite(whole.seen_statistic)
+    taken = whole.seen_taken[used]
+    return Track(
+        names,
+        whole.t,
+        whole.means,
+        whole.covariances[:, :3, :3],
+        whole.seen_t[used],
+        whole.seen_statistic[used],
+        2,
+        taken,
+        np.zeros(len(taken), dtype=np.bool_),
+        (0, 0),
+        whole.last,
+    )
