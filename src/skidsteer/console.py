@@ -229,7 +229,7 @@ def show_odometry(result: Odometry) -> None:
         )
     if sum(track.rates):
         OUT.print(f"Gyro: {track.rates[0]} steps taken, {track.rates[1]} refused.")
-    OUT.print(f"Sigma of the last pose: x {last[0]:.3f} m, y {last[1]:.3f} m, yaw {np.degrees(last[2]):.2f} deg.")
+    OUT.print(f"Sigma of the last pose: x {last[0]:.2g} m, y {last[1]:.2g} m, yaw {np.degrees(last[2]):.2g} deg.")
     if result.distance is not None and result.nominal is not None:
         OUT.print(
             f"Distance from the reference since {result.since - track.t[0]:.1f} s: {result.distance.rms:.3f} m RMS,"
@@ -318,12 +318,12 @@ def show_design(design: Design) -> None:
     OUT.print(table)
     OUT.print(_told(design))
     OUT.print(
-        f"19 of 20 robots like this stay within {reach.x:.1f} m ahead and behind, {reach.y:.1f} m to the sides of the"
-        f" start, and end within {reach.end:.1f} m of it. Keep a hand at the stop button."
+        f"19 of 20 robots like this stay within {reach.x:.1f} m ahead and behind, as many within {reach.y:.1f} m to the"
+        f" sides, and as many end within {reach.end:.1f} m of the start. Keep a hand at the stop button."
     )
     OUT.print(
         "commands.csv is for a controller that turns v and omega into wheel speeds with a track width of"
-        f" {design.controller_width:.3f} m; for another, play its v_left and v_right."
+        f" {design.controller.track_width:.3f} m; for another, play its v_left and v_right."
     )
 
 

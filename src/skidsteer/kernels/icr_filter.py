@@ -128,7 +128,7 @@ def predict(
         P[n - 1, n - 1] += settings[BIAS_WALK] * dt
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _kept(memory: FloatArray, settings: FloatArray, rolled: float) -> float:
     """How much of their deviation the parameters keep in a step: exp(-distance / reach); nothing on fresh ground."""
     if memory[FRESH] > 0.0:
@@ -253,7 +253,7 @@ def _propagate(
             P[n - 1, 3 + i] = P[3 + i, n - 1] = kept * P[n - 1, 3 + i]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _store_cross(P: FloatArray, Z: FloatArray, kept: float, q: int, cross: FloatArray) -> None:
     """P F^T, (n, n): rows of the state before, columns of the state after."""
     n = len(P)
@@ -321,6 +321,7 @@ def update_reference(
     P: FloatArray,
     memory: FloatArray,
     setup: Setup,
+    room: Scratch,
     seen: FloatArray,
     covariance: FloatArray,
     stamp: float,
@@ -333,6 +334,7 @@ def update_reference(
         P: (n, n) in and out.
         memory: (CROSS + n,) in and out.
         setup: of the filter.
+        room: to work in.
         seen: (r,) with r = 3 or 2.
         covariance: (r, r).
         stamp: [s] standard deviation of its time.
@@ -352,7 +354,9 @@ def update_reference(
     innovation = seen - foreseen
     if r == 3:
         innovation[2] = _wrapped(innovation[2])
-    R = covariance + stamp * stamp * _motion_spread(x, memory, setup, lever)[:r, :r]
+    R = covariance.copy()
+    if stamp > 0.0:
+        _blur(R, x, memory, setup, room, lever, stamp)
     C, S = _seen_covariance(P, H, R)
     K, squared = _gain(S, C, innovation)
     if squared <= settings[GATES + r - 1]:
@@ -394,17 +398,25 @@ def _seen_covariance(P: FloatArray, H: FloatArray, R: FloatArray) -> tuple[Float
 
 
 @njit(cache=True, error_model="numpy")
-def _motion_spread(x: FloatArray, memory: FloatArray, setup: Setup, lever: FloatArray) -> FloatArray:
-    """Outer product (3, 3) of the sensor's velocity in the reference's frame: what a second of stamp error does."""
-    room, along = scratch(setup, 0), np.zeros(3)
-    if not math.isnan(memory[LEFT]):
-        _twist(x, setup, room, memory[LEFT], memory[RIGHT])
-        twist = room.twist
-        c, s = math.cos(x[2]), math.sin(x[2])
-        along[0] = c * twist[0] - s * twist[1] - twist[2] * lever[1]
-        along[1] = s * twist[0] + c * twist[1] + twist[2] * lever[0]
-        along[2] = twist[2]
-    return np.outer(along, along)
+def _blur(
+    R: FloatArray,
+    x: FloatArray,
+    memory: FloatArray,
+    setup: Setup,
+    room: Scratch,
+    lever: FloatArray,
+    stamp: float,
+) -> None:
+    """Add to R (r, r) what a stamp that is off by ``stamp`` [s] does: the sensor's velocity times that."""
+    if math.isnan(memory[LEFT]):
+        return
+    _twist(x, setup, room, memory[LEFT], memory[RIGHT])
+    v, w, turn = stamp * room.twist[0], stamp * room.twist[1], stamp * room.twist[2]
+    c, s = math.cos(x[2]), math.sin(x[2])
+    along = (c * v - s * w - turn * lever[1], s * v + c * w + turn * lever[0], turn)
+    for i in range(len(R)):
+        for k in range(len(R)):
+            R[i, k] += along[i] * along[k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -556,4 +568,5 @@ def take_reference(
     mount: FloatArray,
 ) -> tuple[float, int]:
     """``update_reference`` with a packed setup."""
-    return update_reference(x, P, memory, unpacked(flat), seen, covariance, stamp, mount)
+    setup = unpacked(flat)
+    return update_reference(x, P, memory, setup, scratch(setup, len(x)), seen, covariance, stamp, mount)

@@ -17,6 +17,7 @@ from skidsteer.kernels.icr_filter import (
     RIGHT,
     SINCE,
     UNUSED_FLAG,
+    Scratch,
     Setup,
     backward,
     cholesky,
@@ -129,7 +130,7 @@ def replay(
                 now = until
             anchored = False
             while k < len(told.when) and told.when[k] <= now:
-                squared[k], flags[k] = _measure(x, P, memory, setup, told, k)
+                squared[k], flags[k] = _measure(x, P, memory, setup, room, told, k)
                 anchored = anchored or flags[k] == ANCHORED_FLAG
                 k += 1
             if len(nodes.step):
@@ -146,13 +147,15 @@ def replay(
 
 
 @njit(cache=True, error_model="numpy")
-def _measure(x: FloatArray, P: FloatArray, memory: FloatArray, setup: Setup, told: Told, k: int) -> tuple[float, int]:
+def _measure(
+    x: FloatArray, P: FloatArray, memory: FloatArray, setup: Setup, room: Scratch, told: Told, k: int
+) -> tuple[float, int]:
     kind = told.kind[k]
     if kind == STANDSTILL:
         memory[LEFT] = memory[RIGHT] = memory[SINCE] = 0.0
         return 0.0, ACCEPTED_FLAG
-    R = told.covariance[k, :kind, :kind].copy()
-    return update_reference(x, P, memory, setup, told.seen[k, :kind], R, told.stamp[k], told.mount[k])
+    seen, R = told.seen[k, :kind], np.ascontiguousarray(told.covariance[k, :kind, :kind])
+    return update_reference(x, P, memory, setup, room, seen, R, told.stamp[k], told.mount[k])
 
 
 @njit(cache=True, error_model="numpy")

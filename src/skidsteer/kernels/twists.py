@@ -25,6 +25,7 @@ KINDS = {
 }
 CREEP = 0.02  # [m/s] as in models.curvature
 KNEE = 1.0  # [m/s] as in models.scheduled_icr
+LEAN = 3.0  # [m/s^2] as in models.scheduled_icr
 LEAN = 3.0  # [m/s^2] as there
 
 

@@ -1,0 +1,124 @@
+"""The filter with ICR states timed beside filterpy's on the same drive, and its live step from Python."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import speed
+from filterpy.kalman import ExtendedKalmanFilter
+
+from skidsteer.drive import Series
+from skidsteer.kernels import icr_filter as kernel
+from skidsteer.models import Icr
+from skidsteer.noise import Noise
+from skidsteer.odometry.icr_filter import IcrFilter
+from skidsteer.odometry.log import Log
+from skidsteer.odometry.state import FilterState
+from skidsteer.odometry.track import replay
+from skidsteer.se2 import FloatArray
+
+SIGMA = 0.003  # of each parameter at the start
+NOISE = Noise(position=0.01, yaw=float(np.radians(0.5)), stamp=1e-4, walk=0.01, turn=0.01)
+SHARE = 0.01  # of the samples that filterpy is given
+
+
+@dataclass(frozen=True)
+class FilterTimes:
+    """Seconds of processor time."""
+
+    batch: float  # a wheel sample, references included
+    filterpy: float  # a wheel sample, references included
+    live: float  # one predict from Python
+    states: int
+    difference: float  # of both last poses, in sigmas
+
+
+def compare(repeats: int) -> FilterTimes:
+    """The same filter on the same drive: ours over all samples, filterpy over the first hundredth."""
+    drive = speed.drive()
+    assert drive.pose is not None
+    seen = Series(drive.pose.t - speed.TIMING.time_offset, drive.pose.values, "pose")
+    covariance = np.diag([NOISE.position**2, NOISE.position**2, NOISE.yaw**2])
+    log = Log(drive.wheels, seen, covariance)
+    names = tuple(p.name for p in Icr.PARAMETERS)
+    bounds = Icr.bounds(drive.vehicle)
+    ours = IcrFilter(speed.TRUTH, names, SIGMA**2 * np.eye(5), bounds, NOISE, speed.TIMING.lag)
+    start = ours.start(float(drive.wheels.t[0]), seen.values[0], 0.01 * np.eye(3))
+    part = Log(_first(drive.wheels, SHARE), seen, covariance)
+    begun = time.process_time()
+    theirs = _filterpy(ours, start, part)
+    other = (time.process_time() - begun) / len(part.wheels)
+    last = replay(ours, start, part).last
+    apart = np.abs(last.mean - theirs.x) / np.sqrt(np.diag(last.covariance))
+    batch = speed.timed(lambda: replay(ours, start, log), repeats) / len(log.wheels)
+    return FilterTimes(batch, other, _live(ours, start, repeats), len(start.mean), float(apart.max()))
+
+
+def _first(wheels: Series, share: float) -> Series:
+    count = int(share * len(wheels))
+    return Series(wheels.t[:count], wheels.values[:count], wheels.name)
+
+
+def _live(ours: IcrFilter, start: FilterState, repeats: int, steps: int = 2000) -> float:
+    def drive_on() -> None:
+        state = start
+        for _ in range(steps):
+            state = ours.predict(state, (0.4, 0.5), 0.01)
+
+    return speed.timed(drive_on, repeats) / steps
+
+
+def _filterpy(ours: IcrFilter, start: FilterState, log: Log) -> ExtendedKalmanFilter:
+    """The same steps with filterpy's predict and update; lag, motion, F and Q by NumPy as one would write them."""
+    ekf = ExtendedKalmanFilter(dim_x=8, dim_z=3)
+    ekf.x, ekf.P = start.mean.copy(), start.covariance.copy()
+    ekf.R = log.covariance
+    setup = kernel.unpacked(ours.setup)
+    reach, behind, H = setup.settings[kernel.REACH], None, np.eye(3, 8)
+    for happens in log.events():
+        for event in happens:
+            if not hasattr(event, "wheels"):
+                z = event.pose.copy()
+                z[2] = ekf.x[2] + (z[2] - ekf.x[2] + np.pi) % (2.0 * np.pi) - np.pi
+                ekf.update(z, lambda x: H, lambda x: x[:3])
+                continue
+            v, dt = np.array(event.wheels), event.dt
+            behind = v if behind is None else behind
+            decay = np.exp(-dt / ours.lag)
+            distance = v * dt + (behind - v) * ours.lag * (1.0 - decay)
+            behind = v + (behind - v) * decay
+            moved, F = _moved(ekf.x, distance)
+            kept = np.exp(-0.5 * np.abs(distance).sum() / reach)
+            F[3:, 3:] *= kept
+            rolled = 0.5 * np.abs(distance).sum()
+            ekf.Q = np.zeros((8, 8))
+            ekf.Q[0, 0] = ekf.Q[1, 1] = NOISE.walk**2 * rolled
+            ekf.Q[2, 2] = NOISE.turn**2 * rolled
+            ekf.Q[3:, 3:] = (1.0 - kept**2) * setup.ground
+            ekf.F = F
+            ekf.P = F @ ekf.P @ F.T + ekf.Q
+            ekf.x = ekf.x + moved
+    return ekf
+
+
+def _moved(x: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Change of the state (8,) and its transition (8, 8)."""
+    model = Icr(*x[3:])
+    increment = model.twist(distance[0], distance[1])
+    J = model.parameter_jacobian(distance[0], distance[1])
+    half = 0.5 * increment[2]
+    c, s = np.cos(x[2] + half), np.sin(x[2] + half)
+    R, sinc = np.array([[c, -s], [s, c]]), np.sinc(half / np.pi)
+    shift = sinc * (R @ increment[:2])
+    F, moved = np.eye(8), np.zeros(8)
+    moved[:2], moved[2] = shift, increment[2]
+    F[:2, 2] = -shift[1], shift[0]
+    F[:2, 3:] = sinc * (R @ J[:2]) + 0.5 * np.outer([-shift[1], shift[0]], J[2])
+    F[2, 3:] = J[2]
+    return moved, F
+
+
+if __name__ == "__main__":
+    print(compare(5))
