@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
 import numpy as np
-import speed
 from filterpy.kalman import ExtendedKalmanFilter
 
+import speed
 from skidsteer.drive import Series
 from skidsteer.kernels import icr_filter as kernel
 from skidsteer.models import Icr
 from skidsteer.noise import Noise
 from skidsteer.odometry.icr_filter import IcrFilter
-from skidsteer.odometry.log import Log
+from skidsteer.odometry.log import Event, Log, Step
 from skidsteer.odometry.state import FilterState
 from skidsteer.odometry.track import replay
 from skidsteer.se2 import FloatArray
@@ -47,8 +48,9 @@ def compare(repeats: int) -> FilterTimes:
     ours = IcrFilter(speed.TRUTH, names, SIGMA**2 * np.eye(5), bounds, NOISE, speed.TIMING.lag)
     start = ours.start(float(drive.wheels.t[0]), seen.values[0], 0.01 * np.eye(3))
     part = Log(_first(drive.wheels, SHARE), seen, covariance)
+    events = [event for happens in part.events() for event in happens]
     begun = time.process_time()
-    theirs = _filterpy(ours, start, part)
+    theirs = _filterpy(ours, start, covariance, events)
     other = (time.process_time() - begun) / len(part.wheels)
     last = replay(ours, start, part).last
     apart = np.abs(last.mean - theirs.x) / np.sqrt(np.diag(last.covariance))
@@ -70,36 +72,32 @@ def _live(ours: IcrFilter, start: FilterState, repeats: int, steps: int = 2000) 
     return speed.timed(drive_on, repeats) / steps
 
 
-def _filterpy(ours: IcrFilter, start: FilterState, log: Log) -> ExtendedKalmanFilter:
-    """The same steps with filterpy's predict and update; lag, motion, F and Q by NumPy as one would write them."""
+def _filterpy(ours: IcrFilter, start: FilterState, covariance: FloatArray, events: list[Event]) -> ExtendedKalmanFilter:
+    """The same steps with filterpy's update; lag, motion, F and Q by NumPy as one would write them."""
     ekf = ExtendedKalmanFilter(dim_x=8, dim_z=3)
-    ekf.x, ekf.P = start.mean.copy(), start.covariance.copy()
-    ekf.R = log.covariance
-    setup = kernel.unpacked(ours.setup)
-    reach, behind, H = setup.settings[kernel.REACH], None, np.eye(3, 8)
-    for happens in log.events():
-        for event in happens:
-            if not hasattr(event, "wheels"):
-                z = event.pose.copy()
-                z[2] = ekf.x[2] + (z[2] - ekf.x[2] + np.pi) % (2.0 * np.pi) - np.pi
-                ekf.update(z, lambda x: H, lambda x: x[:3])
-                continue
-            v, dt = np.array(event.wheels), event.dt
-            behind = v if behind is None else behind
-            decay = np.exp(-dt / ours.lag)
-            distance = v * dt + (behind - v) * ours.lag * (1.0 - decay)
-            behind = v + (behind - v) * decay
-            moved, F = _moved(ekf.x, distance)
-            kept = np.exp(-0.5 * np.abs(distance).sum() / reach)
-            F[3:, 3:] *= kept
-            rolled = 0.5 * np.abs(distance).sum()
-            ekf.Q = np.zeros((8, 8))
-            ekf.Q[0, 0] = ekf.Q[1, 1] = NOISE.walk**2 * rolled
-            ekf.Q[2, 2] = NOISE.turn**2 * rolled
-            ekf.Q[3:, 3:] = (1.0 - kept**2) * setup.ground
-            ekf.F = F
-            ekf.P = F @ ekf.P @ F.T + ekf.Q
-            ekf.x = ekf.x + moved
+    ekf.x, ekf.P, ekf.R = start.mean.copy(), start.covariance.copy(), covariance
+    setup, behind, H = kernel.unpacked(ours.setup), None, np.eye(3, 8)
+    reach, ground, Q = setup.settings[kernel.REACH], setup.ground, np.zeros((8, 8))
+    for event in events:
+        if not isinstance(event, Step):
+            z = event.pose.copy()
+            z[2] = ekf.x[2] + (z[2] - ekf.x[2] + np.pi) % (2.0 * np.pi) - np.pi
+            ekf.update(z, lambda x: H, lambda x: x[:3])
+            continue
+        v, dt = np.array(event.wheels), event.dt
+        behind = v if behind is None else behind
+        decay = math.exp(-dt / ours.lag)
+        distance = v * dt + (behind - v) * ours.lag * (1.0 - decay)
+        behind = v + (behind - v) * decay
+        rolled = 0.5 * np.abs(distance).sum()
+        kept = math.exp(-rolled / reach)
+        moved, ekf.F = _moved(ekf.x, distance)
+        ekf.F[3:, 3:] *= kept
+        Q[0, 0] = Q[1, 1] = NOISE.walk**2 * rolled
+        Q[2, 2] = NOISE.turn**2 * rolled
+        Q[3:, 3:] = (1.0 - kept**2) * ground
+        ekf.P = ekf.F @ ekf.P @ ekf.F.T + Q
+        ekf.x = ekf.x + moved
     return ekf
 
 

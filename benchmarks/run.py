@@ -15,6 +15,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: all that is timed runs on one thread
 
+import filters
 import processes
 import speed
 
@@ -40,6 +41,7 @@ def main() -> None:
     genetic, gather = speed.genetic(drive, windows, options.repeats)
     seconds, robust = speed.robust_fit(drive, windows)
     stages = speed.stages(drive, windows, options.repeats)
+    filtering = filters.compare(options.repeats)
     memory = {what: processes.peak_memory(what) for what in ("squares", "robust")}
     starts = processes.start_times(options.repeats)
     rows = [
@@ -53,6 +55,7 @@ def main() -> None:
             memory["squares"] < 4.0,
         ),
         Row("memory of the full robust fit, over the samples", _x(memory["robust"]), "4", memory["robust"] < 4.0),
+        *_filter_rows(filtering),
         Row("`skidsteer --help`", _s(starts["help"]), "0.5 s", starts["help"] < 0.5),
     ]
     more = [
@@ -67,6 +70,7 @@ def main() -> None:
         ("sum of the same samples in memory", _s(evaluation.memory_sum)),
         ("moments alone, from the log on", _s(gather)),
         *((what, _s(times)) for what, times in stages.items()),
+        ("a step of the same filter with filterpy", _us(filtering.filterpy)),
         (
             f"full robust fit, {robust.iterations} iterations, {'' if robust.converged else 'not '}converged",
             _s(seconds),
@@ -101,6 +105,15 @@ def _evaluation_rows(evaluation: speed.Evaluation) -> Iterator[Row]:
     yield Row(f"{what} from memory", _x(memory), "3", memory < 3.0)
     cache = evaluation.cache / evaluation.cache_sum
     yield Row(f"{what} where all of them stay in the cache", _x(cache), "-", True)
+
+
+def _filter_rows(times: filters.FilterTimes) -> Iterator[Row]:
+    batch, ratio = times.batch, times.filterpy / times.batch
+    yield Row(f"batch replay of the ICR filter, {times.states} states, a step", _us(batch), "0.5 us", batch < 0.5e-6)
+    yield Row("the same, times as fast as filterpy", _x(ratio), "30", ratio > 30.0)
+    apart = f"{times.difference:.1g}"
+    yield Row("difference of both last states, in their sigmas", apart, "1e-3", times.difference < 1e-3)
+    yield Row("one live step of it from Python (`predict`)", _us(times.live), "5 us", times.live < 5e-6)
 
 
 def _document(rows: list[Row], more: list[tuple[str, str]], fits: speed.FitComparison) -> Iterator[str]:
@@ -139,6 +152,9 @@ NOTES = (
     " free; its residual allocates nothing but its result and takes the chord of a step from a series.",
     "- *Reading* is `numpy.sum` over the array that the kernel reads. *From memory* means copies of it read in turn,"
     " more than the cache holds; where all stays in the cache, reading is so fast that arithmetic decides.",
+    "- The filter (`odometry.icr_filter`) replays all samples with a reference at 5 Hz: the steps are cut at wheel and"
+    " reference stamps, means of all states and covariances of the poses are kept. filterpy's `ExtendedKalmanFilter`"
+    " makes the same steps over the first hundredth of the samples, cut beforehand for free.",
     "- Memory is the rise of the resident set at its peak, in a process that has the drive loaded and the loops"
     " compiled, over the bytes of t, v_left and v_right (24 MB).",
     "- The robust fit keeps distance, derivative by the lag and duration of each step (40 bytes a sample), takes"
@@ -164,6 +180,10 @@ def _processor() -> str:
 
 def _s(seconds: float) -> str:
     return f"{seconds:.2f} s" if seconds >= 0.1 else f"{1e3 * seconds:.1f} ms"
+
+
+def _us(seconds: float) -> str:
+    return f"{1e6 * seconds:.2f} us"
 
 
 def _x(ratio: float) -> str:
