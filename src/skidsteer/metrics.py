@@ -88,7 +88,8 @@ def window_errors(
     if drive.gyro is not None and len(windows):
         gyro = _gyro_errors(model, drive, timing, windows)
     if uncertainty is not None:
-        squared = squared_distances(model, drive.wheels, windows, timing, uncertainty)
+        of_body = replace(windows, motion=(mount or Mount()).body(windows.motion))
+        squared = squared_distances(model, drive.wheels, of_body, timing, uncertainty)
     return WindowErrors(windows.start, windows.end, translation, yaw, gyro, squared)
 
 

@@ -246,7 +246,9 @@ def _episode_distances(moved: FloatArray, process: FloatArray, episode: np.ndarr
 
     Errors that last add up to more than a random walk; what all episodes have in common makes none of them odd.
     """
-    total, variance = (np.stack([np.bincount(episode, a) for a in of.T], axis=1) for of in (moved, process))
+    total, variance = (
+        np.stack([np.bincount(episode, a).astype(float) for a in of.T], axis=1) for of in (moved, process)
+    )
     shares = _shares(total, variance)
     usual = [np.median(s[v > 0.0]) if (v > 0.0).any() else 0.0 for s, v in zip(shares.T, variance.T, strict=True)]
     return np.asarray((shares / np.maximum(np.array(usual) / chi2.median(1), 1.0)).sum(axis=1))

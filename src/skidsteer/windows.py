@@ -12,7 +12,7 @@ from skidsteer.drive import Drive, Series
 from skidsteer.kernels import roll
 from skidsteer.kernels import rollout as kernels
 from skidsteer.models import MatrixModel, Model
-from skidsteer.se2 import FloatArray, between, compose, rotate
+from skidsteer.se2 import FloatArray, between, compose, invert, rotate
 
 MAX_GAP = 1.0  # [s] without a wheel sample: nothing is known of the motion beyond
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
@@ -52,6 +52,11 @@ class Mount:
         """Motions (k, 3) of the body as its sensor sees them."""
         here = np.array([self.x, self.y, self.yaw])
         return between(np.broadcast_to(here, motion.shape), compose(motion, here))
+
+    def body(self, motion: FloatArray) -> FloatArray:
+        """Motions (k, 3) of the body, from those of its sensor: undoes ``seen``."""
+        here = np.array([self.x, self.y, self.yaw])
+        return compose(compose(here, motion), invert(here))
 
 
 Sees = Literal["pose", "position", "turn"]

@@ -14,6 +14,7 @@ from skidsteer.calibration import Calibration, DriveRecord, Estimate, HeldOut, O
 from skidsteer.doctor import EXCITATION, Finding, examine, fix
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
+from skidsteer.identify.alignment import is_turned
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
 from skidsteer.identify.holdout import HeldOutErrors, held_out
 from skidsteer.identify.judged import is_determined
@@ -43,6 +44,7 @@ class CalibrateOptions:
     window: float = 2.0  # [s] length of the judging windows
     seed: int = 0  # of the genetic search
     mount: Mount | Literal["free"] | None = None  # of the reference's sensor; None: see ``mounting``
+    align: bool | None = None  # estimate the yaw of a sensor whose place is given; None: where the drives show it
     fix: bool = False  # apply the doctor's safe cures first
     spacing: float | None = None  # [s] least distance of reference poses used; None: chosen by the drives
     fit: FitOptions = field(default_factory=FitOptions)
@@ -167,9 +169,10 @@ def candidates(drives: Sequence[Drive], options: CalibrateOptions) -> list[str]:
 def settled(drives: list[Drive], options: CalibrateOptions) -> CalibrateOptions:
     """The same options with mounting and spacing settled by the drives."""
     options = replace(options, fit=replace(options.fit, mount=mounting(drives, options.mount)))
-    if options.spacing is not None:
-        return options
-    return replace(options, spacing=choose_spacing(drives, options.fit))
+    if options.spacing is None:
+        options = replace(options, spacing=choose_spacing(drives, options.fit))
+    align = is_turned(drives, options.fit, options.spacing or 0.0) if options.align is None else options.align
+    return replace(options, fit=replace(options.fit, align=align))
 
 
 def judge_models(
@@ -284,7 +287,11 @@ def _unseen(drives: Sequence[Drive], found: Fit) -> list[str]:
             "a gyro alone tells the effective track width only, to about the scale of the gyro (taken as known to 1 %):"
             " icr_x, alpha_left, alpha_right and every translation are not observable"
         ]
-    if any(name.startswith("mount_") and free for name, free in zip(found.names, found.free, strict=True)):
+    free = {name for name, is_free in zip(found.names, found.free, strict=True) if is_free}
+    if "mount_yaw" in free and "mount_x" not in free:
+        yaw, sigma = np.degrees(found.named("mount_yaw"))
+        return [f"the reference's sensor is turned by {yaw:.1f} +- {sigma:.1f} deg against the way the robot drives"]
+    if "mount_x" in free:
         return [
             "where the reference sits on the robot was not given: it was estimated together with a model symmetric"
             " about the origin; give --mount X,Y to find the full ICR model"
@@ -311,6 +318,7 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
         "time_offset": options.fit.time_offset,
         "lag": options.fit.lag,
         "mount": "free" if options.fit.mount is None else ",".join(f"{v:g}" for v in astuple(options.fit.mount)),
+        "align": options.fit.align,
         "robust": options.fit.robust,
         "fix": options.fix,
     }
@@ -342,7 +350,9 @@ def make_options(
         if value is not None and not (np.isfinite(value) and abs(value) <= 5.0 and (name != "lag" or value >= 0.0)):
             raise RequestError(f"the {name} must be a time in s of at most 5 s (a lag not negative), got {value}")
     fit_options = FitOptions(time_offset=time_offset, lag=lag)
-    return CalibrateOptions(model, cast("Method", method), window, seed, _parse_mount(mount), fix, fit=fit_options)
+    align = False if mount is not None and mount.count(",") == 2 else None  # a yaw that is given is kept
+    place = _parse_mount(mount)
+    return CalibrateOptions(model, cast("Method", method), window, seed, place, align, fix, fit=fit_options)
 
 
 def _parse_mount(text: str | None) -> Mount | Literal["free"] | None:

@@ -139,7 +139,8 @@ def genetic_fit(
     """
     if not isinstance(found.model, MatrixModel):
         raise RequestError(f"the genetic search needs a model linear in the rim speeds, not '{found.model.NAME}'")
-    result, loss = search_drives(found.model, drives, windows, found.timings, options)
+    of_body = [replace(w, motion=found.mount.body(w.motion)) for w in windows]
+    result, loss = search_drives(found.model, drives, of_body, found.timings, options)
     values = found.values.copy()
     values[: len(result.model.theta)] = result.model.theta
     note = (

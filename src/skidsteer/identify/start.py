@@ -23,6 +23,7 @@ class FitOptions:
     time_offset: float | None = None  # [s] fixed to this; None: estimated, one for each drive
     lag: float | None = None  # [s] fixed to this; None: estimated
     mount: Mount | None = field(default_factory=Mount)  # of the reference's sensor; None: estimated
+    align: bool = False  # estimate the yaw of the reference's sensor though its place is given
     use_gyro: bool = True  # a gyro, where there is one, tells turns beside the reference
     fix_model: bool = False  # keep the model's parameters, estimate only the timing
     without: tuple[str, ...] = ()  # parameters of the model that stay as they are
@@ -52,7 +53,8 @@ def first_guess(
     x = np.array([*model.theta, 0.05 if options.lag is None else options.lag, mount.x, mount.y, mount.yaw, *own])
     shared = [not options.fix_model and p.name not in options.without for p in model.PARAMETERS]
     shared += [options.lag is None]
-    shared += [options.mount is None] * 2 + [options.mount is None and any(w.sees == "pose" for w in windows)]
+    turned = options.mount is None or (options.align and not model.CRABS)
+    shared += [options.mount is None] * 2 + [turned and any(w.sees == "pose" for w in windows)]
     return Unknowns(model, x, len(drives)), np.array(shared + free_own)
 
 

@@ -16,6 +16,7 @@ class Linear(MatrixModel):
     """Six parameters without physical meaning, one more than the ICR model: v_y need not be proportional to omega."""
 
     NAME: ClassVar[str] = "linear"
+    CRABS: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("vx_left", "", 0.5, -0.5, 1.5, "v_x for each m/s of the left rim"),
         Parameter("vx_right", "", 0.5, -0.5, 1.5, "v_x for each m/s of the right rim"),
