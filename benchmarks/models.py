@@ -67,7 +67,8 @@ def halves(drive: Drive) -> tuple[Drive, Drive]:
 
 def ours(name: str, fitted: Drive, judged: Drive) -> tuple[Calibration, WindowErrors, HeldOut]:
     calibration = calibrate(fitted, options=CalibrateOptions(model=name))
-    errors = window_errors(calibration.model, judged, calibration.timing, uncertainty=calibration.uncertainty)
+    known = (calibration.model, judged, calibration.timing)
+    errors = window_errors(*known, mount=calibration.mount, uncertainty=calibration.uncertainty)
     return calibration, errors, HeldOut.of(errors, calibration.regions)
 
 
