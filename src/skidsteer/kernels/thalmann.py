@@ -198,6 +198,34 @@ def observe(
 
 
 @njit(cache=True)
+def step(
+    mean: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    dt: float,
+    inverse: FloatArray,
+    variance: FloatArray,
+    limits: FloatArray,
+    patience: float,
+    C: FloatArray,
+    arc: bool,
+    slips: FloatArray,
+    where: np.ndarray,
+    track: float,
+    disturbance: FloatArray,
+    drift: FloatArray,
+    wander: FloatArray,
+) -> None:
+    """Take rim speeds left, right [m/s] into the state, then ``advance`` it, in place; ``inverse`` is C^-1."""
+    z, taken = np.empty(2), np.empty(2, np.bool_)
+    for i in range(2):
+        z[i] = inverse[i, 0] * left + inverse[i, 1] * right
+    observe(mean, P, z, variance, limits, patience, taken)
+    advance(mean, P, dt, C, arc, slips, where, track, disturbance, drift, wander)
+
+
+@njit(cache=True)
 def see_position(
     mean: FloatArray,
     P: FloatArray,

@@ -31,6 +31,7 @@ time advances with it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -161,13 +162,17 @@ class KinematicEkf:
         refuse_foreign(state, self.fingerprint)
         if dt == 0.0:
             return state
-        if wheels is not None:
-            state, _, _ = self.observe(state, wheels)
         mean, P = state.mean.copy(), state.covariance.copy()
-        kernels.advance(mean, P, float(dt), *self.dynamics)
+        if wheels is None:
+            kernels.advance(mean, P, float(dt), *self.dynamics)
+        else:
+            _refuse_infinite(wheels, state.time)
+            left, right, step = float(wheels[0]), float(wheels[1]), float(dt)
+            variance, limits, patience = self.encoders
+            kernels.step(mean, P, left, right, step, self.inverse, variance, limits, patience, *self.dynamics)
         return FilterState(state.filter, state.time + dt, mean, P)
 
-    def observe(self, state: FilterState, wheels: ArrayLike) -> tuple[FilterState, float, np.ndarray]:
+    def observe(self, state: FilterState, wheels: tuple[float, float]) -> tuple[FilterState, float, np.ndarray]:
         """Take rim speeds (2,) [m/s] into the state.
 
         Returns:
@@ -178,8 +183,7 @@ class KinematicEkf:
             RequestError: a state of another filter.
         """
         refuse_foreign(state, self.fingerprint)
-        if not np.isfinite(wheels).all():
-            raise DataError(f"rim speeds must be finite, got {wheels!r} at {state.time:.3f} s; leave the sample out")
+        _refuse_infinite(wheels, state.time)
         mean, P, taken = state.mean.copy(), state.covariance.copy(), np.empty(2, dtype=np.bool_)
         T = kernels.observe(mean, P, self.observed(wheels), *self.encoders, taken)
         return FilterState(state.filter, state.time, mean, P), float(T), taken
@@ -201,6 +205,11 @@ class KinematicEkf:
         v, omega, _ = kernels.twist(state.mean, C, slips, where, track, D)
         rolling[:, 3:5] = C
         return Moving(float(v), float(omega), D[1], C @ state.mean[3:5], rolling)
+
+
+def _refuse_infinite(wheels: tuple[float, float], time: float) -> None:
+    if not (math.isfinite(wheels[0]) and math.isfinite(wheels[1])):
+        raise DataError(f"rim speeds must be finite, got {wheels} at {time:.3f} s; leave the sample out")
 
 
 TABLE_1: dict[str, tuple[Choice, Path, tuple[str, ...]]] = {
