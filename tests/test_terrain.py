@@ -138,6 +138,7 @@ def test_what_cannot_be_compared(some: Fit) -> None:
 # The verdict
 
 WORSE = Comparison(Excess(0.1, 0.05, 0.15, 1e-4), Excess(0.4, 0.2, 0.6, 1e-6))
+UNSURE = Comparison(Excess(0.3, -0.5, 3.0, 0.3), Excess(0.4, -0.6, 4.0, 0.3))
 EQUAL = Comparison(Excess(0.01, -0.05, 0.07, 0.4), Excess(-0.02, -0.1, 0.06, 0.7))
 
 
@@ -145,7 +146,8 @@ EQUAL = Comparison(Excess(0.01, -0.05, 0.07, 0.4), Excess(-0.02, -0.1, 0.06, 0.7
     ("p", "a_on_b", "b_on_a", "needed", "words"),
     [
         (0.4, WORSE, WORSE, False, "these 2 grounds need one profile only (p = 0.4)"),
-        (0.001, EQUAL, EQUAL, False, "the models of the grounds differ (p = 0.001), but each predicts the others as"),
+        (0.001, EQUAL, EQUAL, False, "the models of the grounds differ (p = 0.001), but none surely predicts another"),
+        (0.001, EQUAL, UNSURE, False, "the models of the grounds differ (p = 0.001), but none surely predicts another"),
         (0.001, EQUAL, WORSE, True, "profiles of their own (p = 0.001): on ice the calibration of mud against its own"),
         (0.001, None, None, True, "differ (p = 0.001); the drives are too short to tell how much that matters"),
     ],
@@ -179,7 +181,7 @@ def test_other_grounds_are_told_apart_and_it_matters(grounds: dict[str, list[Dri
     for comparison in (pair.a_on_b, pair.b_on_a):
         assert comparison.yaw is not None
         assert comparison.yaw.share > 0.5
-        assert comparison.worse
+        assert comparison.surely_worse
 
 
 def test_the_same_ground_is_not(grounds: dict[str, list[Drive]]) -> None:

@@ -20,7 +20,7 @@ from skidsteer.identify.calibrate import Progress as Report
 from skidsteer.identify.circle_calibration import CircleCalibration
 from skidsteer.identify.circle_test import SideResult
 from skidsteer.identify.design import Design
-from skidsteer.identify.select import Comparison, Excess, Selection
+from skidsteer.identify.select import Excess, Selection
 from skidsteer.identify.terrain import Terrains
 from skidsteer.reproduce.rows import Reproduction
 
@@ -195,7 +195,7 @@ def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> No
     OUT.print(_errors(held_out, "held-out error", chosen=selection.name))
     table = Table("against the best", "translation", "yaw", "", box=None, pad_edge=False)
     for name, c in selection.against_best.items():
-        table.add_row(name, *_against(c))
+        table.add_row(name, _excess(c.translation), _excess(c.yaw), "worse" if c.worse else "")
     OUT.print(table)
     OUT.print(f"Chosen: {escape(selection.because)}.")
 
@@ -206,14 +206,11 @@ def show_terrains(found: Terrains) -> None:
     table.title, table.title_justify = f"{found.model}: errors against the ground's own calibration, held out", "left"
     for pair in found.pairs:
         for one, other, c in pair.sides:
-            errors = ("-", "-", "too short to tell") if c is None else _against(c)
-            table.add_row(escape(one), escape(other), f"{pair.difference.p:.2g}", *errors)
+            known = ("-", "-") if c is None else (_excess(c.translation), _excess(c.yaw))
+            told = "too short to tell" if c is None else "worse" if c.surely_worse else ""
+            table.add_row(escape(one), escape(other), f"{pair.difference.p:.2g}", *known, told)
     OUT.print(table)
     OUT.print(f"Verdict: {escape(found.because)}.")
-
-
-def _against(c: Comparison) -> tuple[str, str, str]:
-    return _excess(c.translation), _excess(c.yaw), "worse" if c.worse else ""
 
 
 def show_odometry(result: Odometry) -> None:

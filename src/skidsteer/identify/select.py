@@ -38,8 +38,13 @@ class Comparison:
     @property
     def worse(self) -> bool:
         """Worse in translation or in yaw, significantly or by more than ``MARGIN``."""
+        return self.surely_worse or self.largest > MARGIN
+
+    @property
+    def surely_worse(self) -> bool:
+        """Significantly worse in translation or in yaw, by more than ``NEGLIGIBLE``."""
         told = [e for e in (self.translation, self.yaw) if e is not None]
-        return any((e.p_worse < LEVEL and e.share > NEGLIGIBLE) or e.share > MARGIN for e in told)
+        return any(e.p_worse < LEVEL and e.share > NEGLIGIBLE for e in told)
 
     @property
     def largest(self) -> float:

@@ -56,9 +56,9 @@ class Pair:
 
     @property
     def matters(self) -> bool:
-        """Whether one predicts the other ground worse than that ground's own; True where that cannot be told."""
+        """Whether one surely predicts the other ground worse than its own; True where nothing could be held out."""
         told = [c for _, _, c in self.sides if c is not None]
-        return not told or any(c.worse for c in told)
+        return not told or any(c.surely_worse for c in told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +82,9 @@ class Terrains:
         if self.difference.p >= LEVEL:
             return f"these {count} grounds need one profile only ({p})"
         if not self.needed:
-            return f"the models of the grounds differ ({p}), but each predicts the others as well: one profile serves"
+            return f"the models of the grounds differ ({p}), but none surely predicts another worse: one profile serves"
         pairs = [pair for pair in self.pairs if pair.difference.p < LEVEL]
-        judged = [(a, b, c) for pair in pairs for a, b, c in pair.sides if c is not None and c.worse]
+        judged = [(a, b, c) for pair in pairs for a, b, c in pair.sides if c is not None and c.surely_worse]
         if not judged:
             return f"the models of the grounds differ ({p}); the drives are too short to tell how much that matters"
         one, other, comparison = max(judged, key=lambda side: side[2].largest)
