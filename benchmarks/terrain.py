@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,18 +91,14 @@ def halves(drive: Drive) -> dict[str, list[Drive]]:
     return {name: [part] for name, part in zip(("first half", "second half"), parts, strict=True)}
 
 
-def real(root: Path) -> list[str]:
-    """Grounds of real drives, and halves of one drive, which lie on one ground."""
-    lines = []
+def real(root: Path) -> Iterator[list[str]]:
+    """Grounds of real drives, halves of one drive, which lie on one ground, and two drives on grass."""
     for model in ("icr", "scheduled_icr"):
-        grounds = {name.split("-")[1]: [load_drive(root / name)] for name in REAL}
-        lines += ["", f"### Warthog, three grounds, {model}", "", *table(compare_terrains(grounds, model))]
-        for name in (*REAL, "husky-windows"):
-            lines += ["", f"### {name}, its halves, {model}", ""]
-            lines += table(compare_terrains(halves(load_drive(root / name)), model))
-        grass = {name: [load_drive(root / name)] for name in SAME}
-        lines += ["", f"### Warthog, two drives on grass, {model}", "", *table(compare_terrains(grass, model))]
-    return lines
+        studies = {f"{model}: the Warthog on three grounds": {n.split("-")[1]: [load_drive(root / n)] for n in REAL}}
+        studies[f"{model}: halves of {REAL[0]}"] = halves(load_drive(root / REAL[0]))
+        studies[f"{model}: the Warthog twice on grass"] = {n: [load_drive(root / n)] for n in SAME}
+        for title, grounds in studies.items():
+            yield ["", f"### {title}", "", *table(compare_terrains(grounds, model))]
 
 
 def main() -> None:
@@ -112,10 +109,13 @@ def main() -> None:
     words = parser.parse_args()
     lines = ["# Do two grounds need two models?", "", "Written by `benchmarks/terrain.py`.", "", "## Simulation", ""]
     lines += simulation()
+    print("\n".join(lines), flush=True)
     if words.drives.is_dir():
-        lines += ["", "## Real drives", "", "Fitted and judged as `skidsteer terrains` does.", *real(words.drives)]
+        lines += ["", "## Real drives", "", "Fitted and judged as `skidsteer terrains` does."]
+        for part in real(words.drives):
+            lines += part
+            print("\n".join(part), flush=True)
     words.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    print("\n".join(lines))
 
 
 if __name__ == "__main__":
