@@ -349,3 +349,11 @@ def test_errors_are_cured_before_a_verdict() -> None:
     drive = sample("p3at-lab").between(0.0, 100.0)
     swapped = replace(drive, wheels=Series(drive.wheels.t, drive.wheels.values[:, ::-1], "wheels"))
     assert judge_drive(swapped, examine(swapped)) == "cure the errors first"
+
+
+def test_what_one_drive_leaves_open_another_tells() -> None:
+    straights, all_sorts = driven(STRAIGHTS), replace(driven(LITTLE_OF_ALL, seed=2), name="other")
+    calibration = calibrate([straights, all_sorts], model="multiplier")
+    assert calibration.observability is not None
+    assert calibration.observability.sentences == ()
+    assert not any("straight" in w for w in calibration.warnings)

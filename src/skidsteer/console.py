@@ -270,8 +270,9 @@ def show_check(
     has = ", ".join(f"{name} {len(series)}" for name, series in parts.items() if series is not None)
     start, end = drive.span
     OUT.print(f"[bold]{escape(drive.name)}[/bold]: {end - start:.1f} s, wheels {len(drive.wheels)} samples, {has}")
-    wanting = not isinstance(verdict, str) and bool(verdict.weak)  # says more than the findings about excitation
-    for f in (f for f in findings if not (wanting and f.kind in EXCITATION)):
+    judged = not isinstance(verdict, str)  # says more than the findings about how it was driven
+    findings = [f for f in findings if not (judged and f.kind in EXCITATION)]
+    for f in findings:
         where = "" if not f.where else f" ({_times(f.where)})"
         OUT.print(f"[{COLOURS[f.severity]}]{f.severity}[/] {f.kind}, {100 * f.confidence:.0f} % sure{where}")
         OUT.print(f"  {escape(f.what)} {escape(f.effect)}")

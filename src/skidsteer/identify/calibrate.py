@@ -106,30 +106,28 @@ def calibrate(
         provenance=_provenance(drives, found, options),
         method=options.method,
         selected_because=because,
-        warnings=(*_unsaid(complaints, verdict), *_warnings(found, verdict, judged, chosen, drives), *notes),
+        warnings=(*complaints, *_warnings(found, verdict, judged, chosen, drives), *notes),
         held_out={name: HeldOut.of(errors.errors) for name, errors in judged.items()},
         regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
         observability=verdict,
     )
 
 
-def _examined(drives: list[Drive], cure: bool) -> tuple[list[Drive], list[tuple[str, str]]]:
-    """The drives, cured if asked for, and what the doctor says of them or did to them: kind of finding, sentence."""
+def _examined(drives: list[Drive], cure: bool) -> tuple[list[Drive], list[str]]:
+    """The drives, cured if asked for, and what the doctor says of them or did to them.
+
+    Of how they were driven the verdict says more: what one drive leaves open another may tell.
+    """
     out, said = [], []
     for drive in drives:
-        findings = [f for f in examine(drive) if f.severity != "info"]
+        findings = [f for f in examine(drive) if f.severity != "info" and f.kind not in EXCITATION]
         if cure:
             drive, done = fix(drive, findings)
-            said += [("", f"{drive.name}: cured: {line}") for line in done]
+            said += [f"{drive.name}: cured: {line}" for line in done]
             findings = [f for f in findings if not f.fixable]
-        said += [(f.kind, f"{drive.name}: {f.what} {f.effect} {f.cure}".rstrip(".")) for f in findings]
+        said += [f"{drive.name}: {f.what} {f.effect} {f.cure}".rstrip(".") for f in findings]
         out.append(drive)
     return out, said
-
-
-def _unsaid(complaints: list[tuple[str, str]], verdict: Observability) -> list[str]:
-    """The doctor's sentences without those that the verdict says again, with figures."""
-    return [said for kind, said in complaints if not (verdict.weak and kind in EXCITATION)]
 
 
 def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) -> Mount | None:
