@@ -30,8 +30,8 @@ from skidsteer.vehicle import Vehicle, preset
 from skidsteer.windows import Timing, Windows, increment_windows, predict
 
 JACKAL = preset("jackal")
-LIMITS = Limits.of(JACKAL)
-SQUARE = Request((10.0, 10.0), 180.0)
+LIMITS = Limits.of(JACKAL, 2.0)
+SQUARE = Request((20.0, 20.0), 180.0)
 
 
 @pytest.fixture(scope="module")
@@ -66,16 +66,17 @@ def test_figures_keep_the_limits_and_come_back_whatever_the_robot(family: str) -
         assert np.abs(rims.values).max() <= LIMITS.wheel_speed + 1e-9
         assert np.abs(twist[:, 0]).max() <= LIMITS.speed + 1e-6
         assert np.abs(twist[:, 2]).max() <= LIMITS.omega + 1e-6
+        assert np.abs(twist[:, 0] * twist[:, 2]).max() <= LIMITS.lateral + 1e-6
         assert_allclose(trajectory(robot, rims, 0.15).values[-1], 0.0, atol=1e-3)  # the lag rounds corners
 
 
 def test_the_library_goes_both_ways_and_knows_every_kind() -> None:
     words = " / ".join(figure.words() for figure in library(expected_model(Icr, JACKAL), LIMITS, 3.0))
     for kind in (
-        "straight ahead, 3.0 m at 1.50 m/s, back through the middle to the other end",
+        "straight ahead, 3.0 m at 2.00 m/s, back through the middle to the other end",
         "turn on the spot to the left, 1 turn at 1.50 rad/s, and back",
         "turn on the spot to the right, 2 turns at 0.45 rad/s, and back",
-        "arc ahead about the left, radius 0.28 m, 90 deg at 0.42 m/s, and back; the same backwards about the right",
+        "arc ahead about the left, radius 0.28 m, 90 deg at 0.38 m/s, and back; the same backwards about the right",
     ):
         assert kind in words
 
@@ -223,7 +224,7 @@ def test_a_design_keeps_time_and_limits(designed: Design) -> None:
     assert np.abs(designed.rims.values).max() <= LIMITS.wheel_speed + 1e-9
     assert np.abs(np.diff(designed.rims.values, axis=0)).max() <= LIMITS.acceleration * PERIOD + 1e-9
     assert (designed.rims.values[[0, -1]] == 0.0).all()
-    played = Differential(designed.controller_width).wheel_speeds(*designed.commands.values.T)
+    played = Differential(0.37559 * 1.5).wheel_speeds(*designed.commands.values.T)
     assert_allclose(played, designed.rims.values, atol=1e-12)
     last_start, last_duration, _ = designed.schedule[-1]
     assert last_start + last_duration == pytest.approx(designed.duration - 1.0)

@@ -296,6 +296,7 @@ def design(
     ] = None,
     max_omega: Annotated[float, typer.Option(metavar="RAD/S", help="highest yaw rate")] = 1.5,
     max_acceleration: Annotated[float, typer.Option(metavar="M/S2", help="of the wheels")] = 1.5,
+    max_lateral: Annotated[float, typer.Option(metavar="M/S2", help="speed times yaw rate")] = 0.5,
     margin: Annotated[float, typer.Option(metavar="M", help="to keep from the edge of the area")] = 0.25,
     seed: Annotated[int, typer.Option(help="of the robots and drivers imagined")] = 0,
     json: Json = False,
@@ -315,7 +316,7 @@ def design(
         area, minutes, robot, model, known, reference_rate, position_noise, yaw_noise, margin, seed
     )
     robot = setup.vehicle
-    limits = Limits.of(robot, max_speed, max_omega, max_acceleration)
+    limits = Limits.of(robot, max_speed, max_omega, max_acceleration, max_lateral)
     with console.progress_bar() as report:
         made = design_drive(setup, limits, request, known, report)
     write_commands(_folder(out) / "commands.csv", made.commands, made.rims.values)

@@ -179,7 +179,7 @@ def design_document(design: Design) -> Document:
             for name, sigma in design.sigmas.items()
         },
         "reaches_m": asdict(design.excursion),
-        "controller_width_m": design.controller_width,
+        "controller_width_m": design.controller.track_width,
         "limits": asdict(design.limits),
         "noise": asdict(design.setup.noise),
     }

@@ -24,9 +24,10 @@ from skidsteer.identify.excursion import (
 )
 from skidsteer.identify.manoeuvres import PERIOD, Figure, Limits, library, rims_of
 from skidsteer.identify.unplanned import unplanned_drive
-from skidsteer.models import MODELS, Model
+from skidsteer.models import MODELS, Differential, Model
 from skidsteer.noise import Noise
 from skidsteer.se2 import FloatArray
+from skidsteer.simulate import controller
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Timing
 
@@ -99,17 +100,15 @@ class Design:
         return len(self.rims) * PERIOD
 
     @property
-    def controller_width(self) -> float:
-        """Track width [m] that the robot's own controller turns v and omega into rim speeds with."""
-        v = self.setup.vehicle
-        return (v.factory_separation or v.track_width) * (v.factory_multiplier or 1.0)
+    def controller(self) -> Differential:
+        """What the robot's own controller turns v and omega into rim speeds with."""
+        return controller(self.setup.vehicle)
 
     @property
     def commands(self) -> Series:
         """Speeds v [m/s] and omega [rad/s] (n, 2) that make the robot's controller turn its rims as planned."""
-        left, right = self.rims.values.T
-        values = np.stack([0.5 * (left + right), (right - left) / self.controller_width], axis=1)
-        return Series(self.rims.t, values, "commands")
+        twist = self.controller.twist(*self.rims.values.T)
+        return Series(self.rims.t, twist[:, [0, 2]], "commands")
 
     @property
     def schedule(self) -> list[tuple[float, float, Figure]]:

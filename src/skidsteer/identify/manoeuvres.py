@@ -21,6 +21,7 @@ from skidsteer.vehicle import Vehicle
 
 PERIOD = 0.05  # [s] of the commands
 WALKING = 1.5  # [m/s] the pace of someone who walks beside the robot, a hand at the stop button
+LATERAL = 0.5  # [m/s^2] speed times yaw rate, up to which constant ICRs hold well enough
 LEVELS = (1.0, 0.6, 0.3)  # of the highest speed that a figure allows
 SHARPNESS = (
     0.25,
@@ -48,6 +49,7 @@ class Limits:
     omega: float  # [rad/s] of the body
     wheel_speed: float  # [m/s] of a rim
     acceleration: float  # [m/s^2] of a rim
+    lateral: float  # [m/s^2] speed times yaw rate: beyond it robots slip sideways, and a constant ICR does not hold
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -56,7 +58,14 @@ class Limits:
                 raise RequestError(f"the limit of the {field.name.replace('_', ' ')} must be positive, got {value}")
 
     @classmethod
-    def of(cls, vehicle: Vehicle, speed: float | None = None, omega: float = 1.5, acceleration: float = 1.5) -> Limits:
+    def of(
+        cls,
+        vehicle: Vehicle,
+        speed: float | None = None,
+        omega: float = 1.5,
+        acceleration: float = 1.5,
+        lateral: float = LATERAL,
+    ) -> Limits:
         """Limits of a vehicle: its rims, and no faster than ``WALKING`` unless asked for.
 
         Raises:
@@ -72,7 +81,7 @@ class Limits:
             raise RequestError(f"--max-speed {speed:g} m/s is beyond the {top:g} m/s of the wheels of {vehicle.name}")
         rims = top if top is not None else speed
         assert rims is not None
-        return cls(min(rims, WALKING) if speed is None else speed, omega, rims, acceleration)
+        return cls(min(rims, WALKING) if speed is None else speed, omega, rims, acceleration, lateral)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +200,7 @@ def _both_sides(model: Model, arc: Manoeuvre) -> Figure:
 def _held(model: Model, limits: Limits, v: float, omega: float, level: float, amount: float) -> Manoeuvre:
     """The fastest motion within the limits along (v, omega), times ``level``, until ``amount`` of it is done."""
     top = min(limits.speed / abs(v) if v else np.inf, limits.omega / abs(omega) if omega else np.inf)
+    top = min(top, float(np.sqrt(limits.lateral / abs(v * omega)))) if v * omega else top
     for _ in range(SETTLED):  # the rims of some models are not in proportion
         top *= min(1.0, limits.wheel_speed / float(np.abs(model.wheel_speeds(top * v, top * omega)).max()))
     left, right = model.wheel_speeds(level * top * v, level * top * omega)
