@@ -240,7 +240,24 @@ def test_scans_of_changing_bearings_and_late_rays(experiment: tuple[Drive, Scans
         message.value["ranges"] = message.value["ranges"][:-7]
     other = scan_messages(scans.rows(slice(0, 9)), "base_laser")
     path = write_messages(tmp_path / "bag", "mcap", wheel_messages(drive, "velocity") + messages + other)
-    close_to_the_truth(read_bag(path, VEHICLE, BagOptions(plate=PLATE)), drive.pose)
+    read, contents = read_bag_noted(path, VEHICLE, BagOptions(plate=PLATE))
+    close_to_the_truth(read, drive.pose)
+    assert any(f"of {len(scans)} scans" in note for note in contents.notes)
+    assert read.pose is not None
+    bearing = np.arctan2(read.pose.values[:, 1], read.pose.values[:, 0])
+    expected = 0.02 * (bearing / np.ptp(scans.bearings))  # after the middle of the scan
+    late = read.pose.t - scans.t[np.abs(scans.t[:, None] - (read.pose.t - expected)).argmin(axis=0)]
+    assert np.abs(late - expected).max() < 0.001
+
+
+def test_ranges_out_of_the_scanners_reach_are_none(experiment: tuple[Drive, Scans], tmp_path: Path) -> None:
+    drive, scans = experiment
+    messages = scan_messages(scans.rows(slice(0, 60)))
+    for message, name, limit in zip(messages, ["range_min", "range_max"] * 30, [9.5, 1.5] * 30, strict=True):
+        message.value[name] = limit
+    path = write_messages(tmp_path / "bag", "mcap", wheel_messages(drive, "velocity") + messages)
+    with pytest.raises(DataError, match=r"in 0 of 60 scans"):
+        read_bag(path, VEHICLE, BagOptions(plate=PLATE))
 
 
 def test_bags_and_plates_that_do_not_fit(experiment: tuple[Drive, Scans], tmp_path: Path) -> None:

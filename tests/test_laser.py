@@ -314,6 +314,16 @@ def test_a_round_thing_as_wide_as_the_plate_is_none() -> None:
         find_plate(Scans(np.zeros(1), turn, ranges[None]), WIDTH)
 
 
+def test_a_bent_thing_as_wide_as_the_plate_is_none() -> None:
+    """An arc of 16 mm of sagitta: no point is far off the line, but all together are."""
+    turn, radius = LMS400.bearings, WIDTH**2 / 8 / 0.016
+    middle = 1.5 + radius
+    ranges = middle * np.cos(turn) - np.sqrt(np.maximum(radius**2 - (middle * np.sin(turn)) ** 2, 0.0))
+    ranges = np.where(np.abs(ranges * np.sin(turn)) < 0.5 * WIDTH, ranges, np.inf)
+    with pytest.raises(DataError, match="no plate of that width"):
+        find_plate(Scans(np.zeros(1), turn, ranges[None]), WIDTH, 0.003)
+
+
 @pytest.mark.parametrize("wrong", [{"width": 0.0}, {"width": np.nan}, {"x": np.inf}, {"side": "up"}])
 def test_plates_that_cannot_be(wrong: dict[str, object]) -> None:
     with pytest.raises(RequestError):
@@ -375,6 +385,21 @@ def test_covariance_of_the_track_is_that_of_its_errors(rate: float) -> None:
     normalised = error / np.sqrt(track.covariance[:, [0, 1, 2], [0, 1, 2]])
     assert normalised[:, 2].std() == pytest.approx(1.0, abs=0.15)
     assert (normalised[:, :2].std(axis=0) < 1.15).all()  # the edges' part does not shrink in the mean: on the safe side
+
+
+def test_covariance_of_the_base_follows_from_that_of_the_plate() -> None:
+    """Against differences: the base half a metre off the plate moves with the plate's yaw."""
+    plate = Plate(WIDTH, 0.5, 0.3, 0.4, "left")
+    scans = one(AHEAD)
+    found, track = find_plate(scans, WIDTH), track_plate(scans, plate)
+
+    def base(pose: FloatArray) -> FloatArray:
+        half = np.pi * round((track.pose[0, 2] + plate.yaw - found.pose[0, 2]) / np.pi)
+        return se2.compose(pose + [0.0, 0.0, half], se2.invert([plate.x, plate.y, plate.yaw]))
+
+    assert_allclose(base(found.pose[0]), track.pose[0], atol=1e-12)
+    jacobian = np.column_stack([(base(found.pose[0] + e) - base(found.pose[0] - e)) / 2e-6 for e in 1e-6 * np.eye(3)])
+    assert_allclose(track.covariance[0], jacobian @ found.covariance[0] @ jacobian.T, atol=1e-12)
 
 
 @pytest.mark.parametrize(("side", "turned"), [("right", False), ("left", True)])

@@ -21,7 +21,7 @@ SIDES: dict[str, tuple[float, float]] = {"left": (0, 1), "right": (0, -1), "fron
 
 FEWEST = 5  # points on a plate
 WIDTH_SHARE = 0.05  # of the width that a measured one may differ by, beside five of its own sigmas
-ROUND = 2.0  # sigmas of the residuals beyond which a surface is not flat
+ROUND = 1.5  # sigmas of the residuals beyond which a surface is not flat
 STRAIGHT_SHARE = 0.8  # of the points of a cluster that must lie on the line
 ROUGH_SHARE = 0.25  # of the width that the chord of a cluster may differ by, before a line is fitted
 FEW_SCANS = 100  # tell the noise on the plate
