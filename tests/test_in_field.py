@@ -183,5 +183,5 @@ def test_real_drives_calibrated_on_one_reckoned_on_the_other(real: Callable[[str
     second = Tracking(Series(b.pose.t, b.pose.values[:, :2]), 0.02, 0.16, 0.4)
     found = calibrate_in_field(filter, a.wheels, first)
     basic = replace(thalmann_filter("basic", 1.08, filter.noise), significance=0.0)
-    study = loss_study({"basic": basic, "extended": found.reckoner}, b.wheels, second, (20.0, 60.0, 120.0), 12)
+    study = loss_study({"basic": basic, "extended": found.reckoner}, b.wheels, second, (20.0, 60.0, 120.0), 9)
     assert (study.ratio("extended", "basic") <= 0.5).all()

@@ -49,7 +49,8 @@ def drive(place: Place, seed: int) -> tuple[Series, Tracking]:
     rng = np.random.default_rng([seed, int(1e6 * place.slip)])
     rims = _rims(_rounds(place.line, rng))
     truth = TransferFactor(0.0, place.slip, 1.0, ROBOT.track_width)
-    seen = kinematic_drive(place.name, ROBOT, truth, rims, SENSORS, motion_noise=WANDER, seed=seed)
+    noise = int(rng.integers(2**31))
+    seen = kinematic_drive(place.name, ROBOT, truth, rims, SENSORS, motion_noise=WANDER, seed=noise)
     assert seen.pose is not None
     positions = Series(seen.pose.t, seen.pose.values[:, :2], "positions")
     return with_repeats(counted(rims), REPEATED, rng)[0], Tracking(positions, SENSORS.position_sigma)
