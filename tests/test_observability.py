@@ -141,12 +141,12 @@ def test_terms_that_a_drive_does_not_support_are_not_asked_for() -> None:
     """Slip_fade moves nothing where there is no side slip: open, but not worth a word."""
     drive = driven(LITTLE_OF_ALL)
     windows = increment_windows(drive)
-    options = FitOptions(without=("turn_loss", "side_slip", "yaw_gain"))
+    options = FitOptions(without=ScheduledIcr.OPTIONAL)
     found = fit(ScheduledIcr.nominal(P3AT), [drive], [windows], options)
     assert found.named("slip_fade")[1] > 0.5
     verdict = observe(found, [drive], [windows], options)
     assert verdict.sentences == ()
-    assert not {"turn_loss", "side_slip", "yaw_gain", "slip_fade"} & {*verdict.determined, *verdict.undetermined}
+    assert not {*ScheduledIcr.OPTIONAL, "slip_fade"} & {*verdict.determined, *verdict.undetermined}
 
 
 # What to drive next
@@ -244,7 +244,8 @@ def _moved(model: Model, at: Model, speed: float) -> FloatArray:
 
 
 def test_motions_have_the_slopes_of_a_rollout() -> None:
-    model, speed = ScheduledIcr(0.26, -0.31, -0.03, 0.93, 0.93, 0.2, 0.3, 0.1, 0.4), 0.6
+    terms = [0.1 + 0.05 * i for i in range(len(ScheduledIcr.PARAMETERS) - 5)]
+    model, speed = ScheduledIcr(0.26, -0.31, -0.03, 0.93, 0.91, *terms), 0.6
     motions, slopes = known_motions(model, speed, 0.4)
     tolerance = np.array([m.tolerance for m in motions])
     h = 1e-6
