@@ -117,7 +117,10 @@ def test_a_figure_drawn(tmp_path: Path) -> None:
     draw(picture(), tmp_path / "a.png")
     draw(picture(), tmp_path / "a.svg")
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-    assert "<svg" in (tmp_path / "a.svg").read_text()
+    text = (tmp_path / "a.svg").read_text()
+    assert "<svg" in text
+    draw(picture(), tmp_path / "a.svg")
+    assert (tmp_path / "a.svg").read_text() == text
 
 
 def test_drawing_without_matplotlib_names_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ def draw(figure: Figure, path: Path) -> None:
         RequestError: matplotlib is not installed.
     """
     try:
+        from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure as Sheet
     except ImportError as error:
@@ -70,4 +71,6 @@ def draw(figure: Figure, path: Path) -> None:
     axes.set(title=figure.title, xlabel=figure.x_label, ylabel=figure.y_label)
     axes.grid(alpha=0.3)
     axes.legend()
-    sheet.savefig(path)
+    undated = {"Date": None} if path.suffix == ".svg" else None
+    with rc_context({"svg.hashsalt": figure.name}):  # the same figure gives the same file
+        sheet.savefig(path, metadata=undated)
