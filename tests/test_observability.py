@@ -245,7 +245,7 @@ def _moved(model: Model, at: Model, speed: float) -> FloatArray:
 
 def test_motions_have_the_slopes_of_a_rollout() -> None:
     terms = [0.1 + 0.05 * i for i in range(len(ScheduledIcr.PARAMETERS) - 5)]
-    model, speed = ScheduledIcr(0.26, -0.31, -0.03, 0.93, 0.91, *terms), 0.6
+    model, speed = ScheduledIcr(0.26, -0.31, -0.03, 0.93, 0.93, *terms), 0.6
     motions, slopes = known_motions(model, speed, 0.4)
     tolerance = np.array([m.tolerance for m in motions])
     h = 1e-6

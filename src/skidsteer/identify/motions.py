@@ -33,6 +33,7 @@ def known_motions(model: Model, speed: float, track_width: float) -> tuple[list[
 
 
 def _straight(model: Model, speed: float) -> list[Row]:
+    """Rows of equal rim speeds, to first order about a straight."""
     by_x, by_y, by_turn = model.parameter_jacobian(speed, speed)
     time = STRAIGHT / float(model.twist(speed, speed)[0])
     aside = time * (by_y + 0.5 * STRAIGHT * by_turn)
