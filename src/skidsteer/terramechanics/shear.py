@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skidsteer.kernels import ground as kernels
+from skidsteer.kernels import shear as kernels
+from skidsteer.kernels.ground import STANDSTILL
 from skidsteer.se2 import FloatArray
 from skidsteer.terramechanics.robot import Robot
 from skidsteer.terramechanics.terrain import Terrain
@@ -111,17 +112,17 @@ def rolling_forces(
     """Rolling resistance of each wheel against the motion of its hub, Eq. (22), and its derivative by the twist.
 
     Added up it is the m g mu_roll of Eq. (22) where all hubs move forwards, and a moment where they move apart, which
-    Eq. (22) leaves open. Below ``kernels.STANDSTILL`` it fades.
+    Eq. (22) leaves open. Below ``STANDSTILL`` it fades.
 
     Returns:
         (..., w, 3) F_x, F_y [N] and the moment about the origin [N m]; (..., w, 3, 3).
     """
     twist, y = np.asarray(twist, dtype=float), robot.places[:, 1]
     hub = twist[..., :1] - twist[..., 2:] * y
-    length = np.hypot(hub, kernels.STANDSTILL)
+    length = np.hypot(hub, STANDSTILL)
     strength = terrain.rolling_resistance * (robot.loads((0.0, 0.0)) if loads is None else np.asarray(loads))
     lever = np.stack([-np.ones_like(y), np.zeros_like(y), y], axis=-1)
     arm = np.stack([np.ones_like(y), np.zeros_like(y), -y], axis=-1)
-    slope = strength * kernels.STANDSTILL**2 / length**3
+    slope = strength * STANDSTILL**2 / length**3
     force = (strength * hub / length)[..., None] * lever
     return force, slope[..., None, None] * lever[:, :, None] * arm[:, None, :]
