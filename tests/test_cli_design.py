@@ -134,6 +134,7 @@ def test_people_get_a_table_in_plain_words(
         (("--vehicle", "rover-4wd1"), "give --max-speed"),
         (("--max-speed", "9"), "beyond the 2 m/s"),
         (("--max-omega", "0"), "limit of the omega must be positive"),
+        (("--max-lateral", "-1"), "limit of the lateral acceleration must be positive"),
         (("--model", "ice"), "no model 'ice'; there are"),
         (("--calibration", "nowhere.yaml"), "nowhere.yaml"),
     ],

@@ -66,7 +66,7 @@ def test_figures_keep_the_limits_and_come_back_whatever_the_robot(family: str) -
         assert np.abs(rims.values).max() <= LIMITS.wheel_speed + 1e-9
         assert np.abs(twist[:, 0]).max() <= LIMITS.speed + 1e-6
         assert np.abs(twist[:, 2]).max() <= LIMITS.omega + 1e-6
-        assert np.abs(twist[:, 0] * twist[:, 2]).max() <= LIMITS.lateral + 1e-6
+        assert np.abs(twist[:, 0] * twist[:, 2]).max() <= LIMITS.lateral_acceleration + 1e-6
         assert_allclose(trajectory(robot, rims, 0.15).values[-1], 0.0, atol=1e-3)  # the lag rounds corners
 
 

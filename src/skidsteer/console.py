@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -225,7 +226,8 @@ def show_odometry(result: Odometry) -> None:
             f" mean {np.mean(track.squared) / track.dof:.2f}, median {np.median(track.squared) / track.dof:.2f}."
         )
     if sum(track.rates):
-        OUT.print(f"Gyro: {track.rates[0]} steps taken, {track.rates[1]} refused.")
+        mean = f"mean squared innovation {track.rate_squared:.2f}"
+        OUT.print(f"Gyro: {track.rates[0]} steps taken, {track.rates[1]} refused; {mean}.")
     OUT.print(f"Sigma of the last pose: x {last[0]:.2g} m, y {last[1]:.2g} m, yaw {np.degrees(last[2]):.2g} deg.")
     if result.distance is not None and result.nominal is not None:
         OUT.print(
@@ -303,10 +305,11 @@ def _times(where: Sequence[tuple[float, float]]) -> str:
 
 def show_design(design: Design) -> None:
     """What to drive, and what it will tell beside an unplanned drive."""
-    table = Table("start", "time", "manoeuvre", box=None, pad_edge=False)
-    for start, duration, figure in design.schedule:
-        table.add_row(f"{start:.1f} s", f"{duration:.1f} s", figure.words())
-    for column in table.columns[:2]:
+    table = Table("start", "times", "each", "manoeuvre", box=None, pad_edge=False)
+    for figure, group in itertools.groupby(design.schedule, key=lambda row: row[2]):
+        rows = list(group)
+        table.add_row(f"{rows[0][0]:.1f} s", str(len(rows)), f"{rows[0][1]:.1f} s", figure.words())
+    for column in table.columns[:3]:
         column.justify = "right"
     vehicle, area, reach = design.setup.vehicle, design.request.area, design.excursion
     OUT.print(

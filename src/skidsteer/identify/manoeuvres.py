@@ -49,7 +49,9 @@ class Limits:
     omega: float  # [rad/s] of the body
     wheel_speed: float  # [m/s] of a rim
     acceleration: float  # [m/s^2] of a rim
-    lateral: float  # [m/s^2] speed times yaw rate: beyond it robots slip sideways, and a constant ICR does not hold
+    lateral_acceleration: (
+        float  # [m/s^2] speed times yaw rate: beyond it robots slip sideways, and a constant ICR does not hold
+    )
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -200,7 +202,7 @@ def _both_sides(model: Model, arc: Manoeuvre) -> Figure:
 def _held(model: Model, limits: Limits, v: float, omega: float, level: float, amount: float) -> Manoeuvre:
     """The fastest motion within the limits along (v, omega), times ``level``, until ``amount`` of it is done."""
     top = min(limits.speed / abs(v) if v else np.inf, limits.omega / abs(omega) if omega else np.inf)
-    top = min(top, float(np.sqrt(limits.lateral / abs(v * omega)))) if v * omega else top
+    top = min(top, float(np.sqrt(limits.lateral_acceleration / abs(v * omega)))) if v * omega else top
     for _ in range(SETTLED):  # the rims of some models are not in proportion
         top *= min(1.0, limits.wheel_speed / float(np.abs(model.wheel_speeds(top * v, top * omega)).max()))
     left, right = model.wheel_speeds(level * top * v, level * top * omega)
