@@ -49,9 +49,7 @@ class Limits:
     omega: float  # [rad/s] of the body
     wheel_speed: float  # [m/s] of a rim
     acceleration: float  # [m/s^2] of a rim
-    lateral_acceleration: (
-        float  # [m/s^2] speed times yaw rate: beyond it robots slip sideways, and a constant ICR does not hold
-    )
+    lateral_acceleration: float = LATERAL  # [m/s^2] speed times yaw rate, of the body
 
     def __post_init__(self) -> None:
         for field in fields(self):
