@@ -457,6 +457,10 @@ def test_short_gaps_are_bridged_and_long_ones_part_the_track() -> None:
         both.turned(1.0, 6.5)
     with pytest.raises(DataError, match="not in sight all the time"):
         both.turned(-1.0, 1.0)
+    with pytest.raises(DataError, match="not in sight all the time"):
+        both.turned(5.0, 6.5)
+    with pytest.raises(DataError, match="not in sight all the time"):
+        both.turned(2.9, 99.0)
 
 
 def test_a_fast_turn_is_followed_through_a_gap() -> None:

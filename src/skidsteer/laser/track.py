@@ -56,9 +56,10 @@ class Track:
         Raises:
             DataError: the plate was out of sight at one of them or for long between them.
         """
-        i, j = np.searchsorted(self.t, [start, end])
-        at = np.clip([i, j - 1], 0, len(self.t) - 1)
-        if j <= i or self.stretch[at[0]] != self.stretch[at[1]] or not self.t[0] <= start <= end <= self.t[-1]:
+        before = int(np.searchsorted(self.t, start, side="right")) - 1
+        behind = int(np.searchsorted(self.t, end))
+        inside = 0 <= before <= behind < len(self.t)
+        if not (start <= end and inside and self.stretch[before] == self.stretch[behind]):
             raise DataError(f"the plate was not in sight all the time from {start:.2f} to {end:.2f} s")
         return float(np.diff(np.interp([start, end], self.t, self.pose[:, 2]))[0])
 
@@ -130,12 +131,10 @@ def _oriented(track: Track, plate: Plate, wheels: Series | None) -> tuple[Track,
             f" side of it the scanner is at first ({', '.join(SIDES)}), or roll some way in sight of it"
         )
     lost = int((~known).sum())
-    notes = [f"{lost} sightings left out: the plate was out of sight before, and could be either way round"] * (
-        lost > 0
-    )
+    why = f"{lost} sightings left out: the plate was out of sight before, and could be either way round"
     half = np.pi * np.array([float(turn or 0) for turn in turns])[track.stretch]
     pose = np.column_stack([track.pose[:, :2], track.pose[:, 2] + half])
-    return Track(track.t[known], pose[known], track.parts[known], track.stretch[known]), notes
+    return Track(track.t[known], pose[known], track.parts[known], track.stretch[known]), [why] if lost else []
 
 
 def _half_turn(track: Track, plate: Plate, wheels: Series | None, is_first: bool) -> int | None:
