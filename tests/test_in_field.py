@@ -141,6 +141,10 @@ def test_calibrated_filters_stray_less() -> None:
     for name in ("extended", "around"):
         assert (study.ratio(name, "basic") < 0.3).all()
         assert_allclose(study.medians(name), np.median(study.errors[name], axis=1))
+    start = float(study.starts[1, 2])
+    used = calibrate_around(estimating(), wheels, tracking, start, start + 60.0).reckoner
+    error = maximum_error(used, tracked(used, wheels, tracking), wheels, tracking, start, start + 60.0)
+    assert study.errors["around"][1, 2] == error
     again = loss_study({"extended": calibrated}, wheels, tracking, (20.0, 60.0), 3)
     assert_array_equal(again.errors["extended"], study.errors["extended"])
 

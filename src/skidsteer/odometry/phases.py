@@ -87,17 +87,16 @@ def _distance(path: FloatArray, seen: FloatArray) -> Distance:
 
 def _track(whole: Replay, names: tuple[str, ...]) -> Track:
     used = np.isfinite(whole.seen_statistic)
-    taken = whole.seen_taken[used]
     return Track(
-        names,
-        whole.t,
-        whole.means,
-        whole.covariances[:, :3, :3],
-        whole.seen_t[used],
-        whole.seen_statistic[used],
-        2,
-        taken,
-        np.zeros(len(taken), dtype=np.bool_),
-        (0, 0),
-        whole.last,
+        names=names,
+        t=whole.t,
+        means=whole.means,
+        covariances=whole.covariances[:, :3, :3],
+        seen_t=whole.seen_t[used],
+        squared=whole.seen_statistic[used],
+        dof=2,
+        accepted=whole.seen_taken[used],
+        anchored=np.zeros(int(used.sum()), dtype=np.bool_),
+        rates=(0, 0),
+        last=whole.last,
     )
