@@ -10,8 +10,8 @@ With v, omega of the constant ICR (Mandow 2007, Eqs. (2)-(7)) the body moves wit
 ``slip_fade``: less so, for its acceleration, the faster it drives.
 ``turn_loss``: the faster it turns, the more of the rolled distance is lost. ``yaw_gain``: tyres that already slip
 lengthwise resist turning less, so that it turns more easily when it drives; ``load_gain``: more so, the more of its
-weight leans on the outer side. All of them vanish as the speed goes to zero. Read as ICRs: icr_x moves backwards with
-speed, the treads' ICRs move inwards or outwards with it.
+weight leans on the outer side. All of them vanish as the speed goes to zero. Read as ICRs: icr_x moves ahead with
+the speed, the treads' ICRs move inwards or outwards with it.
 """
 
 from __future__ import annotations
