@@ -51,6 +51,7 @@ def test_replay_is_live_to_the_last_bit(sees: int) -> None:
         assert_allclose(getattr(batch, name), getattr(live, name), atol=0.0, err_msg=name)
     assert_allclose(batch.last.memory, live.last.memory, atol=0.0)
     assert batch.rates == live.rates
+    assert batch.rate_squared == pytest.approx(live.rate_squared, rel=1e-12)
     assert batch.last.time == live.last.time == log.wheels.t[-1]
 
 

@@ -131,7 +131,7 @@ def odometry_document(result: Odometry) -> Document:
             if len(track.squared)
             else None,
         },
-        "gyro": {"accepted": track.rates[0], "rejected": track.rates[1]},
+        "gyro": {"accepted": track.rates[0], "rejected": track.rates[1], "nis_mean": track.rate_squared},
         "last": {
             "t": track.last.time,
             "mean": dict(zip(track.names, track.last.mean.tolist(), strict=True)),

@@ -30,6 +30,7 @@ class Track:
     anchored: np.ndarray  # (m,) bool: refused for long, then taken as the pose
     rates: tuple[int, int]  # steps that took a gyro's rate, and that refused one
     last: FilterState
+    rate_squared: float = float("nan")  # mean normalised innovation squared of the gyro's rates; NaN without
 
     @property
     def poses(self) -> FloatArray:
@@ -54,7 +55,7 @@ def replay(filter: Filter, state: FilterState, log: Log) -> Track:
 
 def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
     """``replay`` step by step, for any filter."""
-    means, covariances, told, rates = [], [], [], [0, 0]
+    means, covariances, told, rates, squares = [], [], [], [0, 0], 0.0
     for happens in log.events():
         for event in happens:
             if isinstance(event, Step):
@@ -65,6 +66,7 @@ def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
                 told.append((event.time, innovation.squared, innovation.accepted, innovation.anchored))
             else:
                 rates[0 if innovation.accepted else 1] += 1
+                squares += innovation.squared
         means.append(state.mean)
         covariances.append(state.pose_covariance)
     seen_t, squared, accepted, anchored = np.array(told, dtype=float).reshape(-1, 4).T
@@ -80,6 +82,7 @@ def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
         anchored > 0.0,
         (rates[0], rates[1]),
         state,
+        squares / sum(rates) if sum(rates) else np.nan,
     )
 
 
@@ -99,9 +102,10 @@ def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -
     used = flags != icr_filter.UNUSED_FLAG
     flags, end = flags[used], FilterState(filter.fingerprint, float(log.wheels.t[-1]), mean, P, memory)
     accepted, anchored = flags == icr_filter.ACCEPTED_FLAG, flags == icr_filter.ANCHORED_FLAG
-    told_rates = (int(rates[0]), int(rates[1]))
-    seen = (told.when[used], squared[used], log.dof, accepted, anchored, told_rates)
-    return Track(filter.names, log.wheels.t, means, covariances, *seen, end), room, count
+    taken, refused, squares = rates.tolist()
+    rate_squared = squares / (taken + refused) if taken + refused else np.nan
+    seen = (told.when[used], squared[used], log.dof, accepted, anchored, (int(taken), int(refused)))
+    return Track(filter.names, log.wheels.t, means, covariances, *seen, end, rate_squared), room, count
 
 
 def _told(log: Log) -> Told:
