@@ -332,6 +332,21 @@ def test_plates_that_cannot_be(wrong: dict[str, object]) -> None:
         find_plate(one(AHEAD), -1.0)
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.001, 0.1, 3.0]), st.floats(0.01, 3.0), st.integers(3, 60))
+def test_any_scans_give_finite_poses_or_a_refusal(seed: int, roughness: float, width: float, rays: int) -> None:
+    rng = np.random.default_rng(seed)
+    walk = 2.0 + np.cumsum(roughness * rng.standard_normal((20, rays)), axis=1)
+    ranges = np.where(rng.random((20, rays)) < 0.1, rng.choice([0.0, np.nan, np.inf, 1e-300, 1e300, -1.0]), walk)
+    scans = Scans(np.arange(20.0), np.linspace(-1.0, 1.0, rays), ranges)
+    try:
+        track = track_plate(scans, Plate(width, side="left"))
+    except (DataError, RequestError):
+        return
+    assert np.isfinite(track.pose).all()
+    assert np.isfinite(track.covariance).all()
+
+
 def test_a_scene_needs_a_plate() -> None:
     with pytest.raises(ValueError, match="plates"):
         simulate_scans(LMS400, [])

@@ -76,7 +76,7 @@ def fit_lines(points: Points, sigma: float) -> Lines:
         sigma: [m] standard deviation of a range.
 
     Returns:
-        The lines. One that runs through the scanner, or has fewer than two points left, has a distance of NaN.
+        The lines; all NaN for one that runs through the scanner or has fewer than two points left.
     """
     normal, distance = total_least_squares(points)
     kept = np.ones(points.range.shape, dtype=bool)
@@ -88,6 +88,8 @@ def fit_lines(points: Points, sigma: float) -> Lines:
             normal, distance = normal + step[0], distance + step[1]
         residual, by_normal, by_distance = _residuals(points, normal, distance)
         _, cofactor = _solve(points, residual, by_normal, by_distance, kept)
+    bad = ~(np.isfinite(normal) & np.isfinite(distance) & np.isfinite(cofactor).all(axis=(1, 2)))
+    normal[bad], distance[bad], cofactor[bad] = np.nan, np.nan, np.nan
     return Lines(normal, distance, cofactor, kept, points.total(np.where(kept, residual**2, 0.0)))
 
 

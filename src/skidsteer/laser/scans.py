@@ -15,6 +15,7 @@ from skidsteer.se2 import FloatArray
 
 EVEN = 0.05  # of a step, by which the steps between bearings may differ
 LEAST_NOISE = 0.0005  # [m] no scanner is better than that
+NEAREST, FARTHEST = 0.001, 1e4  # [m] between them lie the ranges of any scanner
 LOOKED_AT = 200  # scans from which the noise is estimated
 
 
@@ -52,8 +53,8 @@ SCANNERS: dict[str, Scanner] = {
 class Scans:
     """Scans of one scanner that stands still. Immutable.
 
-    Ranges that are not finite, zero or negative mean that nothing came back; they are kept as 0. Bearings that descend,
-    as of a scanner mounted upside down, are turned round.
+    Ranges that are not finite, negative or those of no scanner mean that nothing came back; they are kept as 0.
+    Bearings that descend, as of a scanner mounted upside down, are turned round.
 
     Raises:
         DataError: shapes that do not fit, no scan, fewer than three rays, bearings that are not evenly spaced or span
@@ -76,7 +77,7 @@ class Scans:
         if len(bearings) > 1 and bearings[0] > bearings[-1]:
             bearings, ranges, delay = bearings[::-1].copy(), ranges[:, ::-1].copy(), delay[::-1].copy()
         _refuse_uneven(bearings)
-        ranges[~((ranges > 0.0) & (ranges < np.inf))] = 0.0
+        ranges[~((ranges > NEAREST) & (ranges < FARTHEST))] = 0.0
         for name, array in (("t", t), ("bearings", bearings), ("ranges", ranges), ("ray_delay", delay)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
