@@ -35,6 +35,7 @@ from skidsteer.kernels.twists import KINDS
 from skidsteer.models import Model
 from skidsteer.noise import Noise
 from skidsteer.odometry.state import (
+    SAME_TIME,
     FilterState,
     Innovation,
     Measurement,
@@ -48,7 +49,6 @@ from skidsteer.odometry.state import (
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import MAX_GAP
 
-SAME_TIME = 1e-6  # [s] a measurement holds at the state's time within this
 GAP_WALK, GAP_TURN = 1.0, 1.0  # [m/sqrt(s)], [rad/sqrt(s)] what may happen while nothing is known of the wheels
 
 

@@ -18,6 +18,7 @@ from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount
 
 ORIGIN = Mount()
+SAME_TIME = 1e-6  # [s] two times within this are one
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,10 +9,8 @@ from itertools import pairwise, zip_longest
 
 from skidsteer.errors import DataError
 from skidsteer.odometry.log import Event, Step
-from skidsteer.odometry.state import Filter, FilterState, Innovation, Measurement, YawRate
+from skidsteer.odometry.state import SAME_TIME, Filter, FilterState, Innovation, Measurement, YawRate
 from skidsteer.windows import MAX_GAP
-
-SAME_TIME = 1e-6  # [s]
 
 Past = tuple[FilterState, Event]  # what happened, and the state before it
 
