@@ -131,6 +131,23 @@ def test_the_largest_error_of_a_window_step_by_step() -> None:
     assert got > 1.0  # the basic model turns too far
 
 
+def test_the_error_of_a_window_counts_all_of_it_and_nothing_else() -> None:
+    wheels, tracking = simulated(5)
+    filter = frozen(estimating(), dict(zip(("slip_left", "slip_right", "efficiency"), TRUTH.theta, strict=True)))
+    track = tracked(filter, wheels, tracking)
+
+    def spoilt(stamp: float) -> float:
+        values = tracking.positions.values.copy()
+        values[np.argmin(abs(tracking.t - stamp))] += 100.0
+        other = replace(tracking, positions=Series(tracking.positions.t, values))
+        return maximum_error(filter, track, wheels, other, 40.03, 60.0)
+
+    for inside in (40.2, 59.8):
+        assert spoilt(inside) > 130.0
+    for outside in (39.5, 60.3):
+        assert spoilt(outside) < 2.0
+
+
 def test_calibrated_filters_stray_less() -> None:
     calibrated = calibrate_in_field(estimating(), *simulated(6)).reckoner
     wheels, tracking = simulated(7)
