@@ -18,6 +18,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 OUTLIER = 4.0  # sigmas from the line beyond which a point is none of it
+SINGULAR = 1e-9  # one minus squared correlation of normal and distance: below it rounding decides
 STEPS = 3  # of Gauss-Newton; the start is close enough for two
 
 
@@ -88,9 +89,17 @@ def fit_lines(points: Points, sigma: float) -> Lines:
             normal, distance = normal + step[0], distance + step[1]
         residual, by_normal, by_distance = _residuals(points, normal, distance)
         _, cofactor = _solve(points, residual, by_normal, by_distance, kept)
-    bad = ~(np.isfinite(normal) & np.isfinite(distance) & np.isfinite(cofactor).all(axis=(1, 2)))
+    bad = ~_is_sound(distance, cofactor)
     normal[bad], distance[bad], cofactor[bad] = np.nan, np.nan, np.nan
     return Lines(normal, distance, cofactor, kept, points.total(np.where(kept, residual**2, 0.0)))
+
+
+def _is_sound(distance: FloatArray, cofactor: FloatArray) -> BoolArray:
+    """Whether the points tell both numbers of each line (c,), and not through the scanner or behind it."""
+    a, b, c = cofactor[:, 0, 0], cofactor[:, 0, 1], cofactor[:, 1, 1]
+    with np.errstate(invalid="ignore", over="ignore"):
+        known = (a > 0.0) & (c > 0.0) & (a * c - b * b > SINGULAR * a * c)
+    return np.asarray(known & np.isfinite(a) & np.isfinite(c) & (distance > 0.0) & (distance < np.inf))
 
 
 def _residuals(points: Points, normal: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
