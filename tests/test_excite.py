@@ -130,6 +130,19 @@ def test_information_is_that_of_all_increments_at_once(model: Model) -> None:
     assert_allclose(ours / np.outer(scale, scale), dense / np.outer(scale, scale), atol=4e-3)
 
 
+def test_what_a_fit_takes_for_known_before_a_drive() -> None:
+    bounds = Icr.bounds(JACKAL)
+    expected = [*12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2, 1.0 / 0.5**2, 1.0]
+    assert_allclose(setup_of(JACKAL, Icr).prior, expected)
+
+
+def test_motion_noise_grows_with_the_distance() -> None:
+    rims = Series(np.arange(0.0, 4.01, 0.05), np.ones((81, 2)), "wheels")
+    model, noise = Icr(0.3, -0.3, 0.0, 1.0, 1.0), Noise(walk=0.05, turn=1e-4)
+    ends = np.array([trajectory(model, rims, 0.0, noise, seed).values[-1, :2] for seed in range(400)])
+    assert_allclose(ends.std(axis=0), 0.05 * np.sqrt(4.0), rtol=0.12)
+
+
 def random_information(count: int, size: int, seed: int) -> FloatArray:
     rows = np.random.default_rng(seed).standard_normal((count, 2, size))
     return np.einsum("nki,nkj->nij", rows, rows)

@@ -168,6 +168,7 @@ def test_a_lost_robot_is_found_on_the_whole_path() -> None:
     assert path.project([31.0, 0.4], near=29.5) == 30.0
     loop = stadium(10.0, 2.0)
     lap = loop.length
+    assert loop.project(loop.at(-0.004)[:2], near=0.0) == pytest.approx(-0.004, abs=1e-9)  # across the seam
     assert loop.project(loop.at(3.0)[:2], near=2.0 * lap + 15.0) == pytest.approx(2.0 * lap + 3.0)
     assert loop.project(loop.at(0.5)[:2], near=lap - 0.5) == pytest.approx(lap + 0.5)
 
