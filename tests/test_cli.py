@@ -252,3 +252,17 @@ def test_every_real_drive_is_calibrated_and_explained(name: str, real: object, r
     sigmas = [p["sigma"] for p in document["parameters"].values() if p["determined"]]
     assert sigmas
     assert np.all(np.array(sigmas) > 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--wheel-signal", "torque"], "wheel_signal must be position or velocity, got torque"),
+        (["--wheels-unit", "furlong"], "wheels_unit must be one of rad, rad/s, m/s, ticks, got furlong"),
+        (["--separation", "0"], "separation must be a positive number, got 0.0"),
+    ],
+)
+def test_options_of_bags_that_cannot_be(run: Run, words: list[str], said: str) -> None:
+    done = run("check", "sample:p3at-lab", *words)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert said in done.stderr

@@ -42,9 +42,12 @@ SOURCE_OPTIONS = {
     "command_topic": ("TOPIC", "of a bag: commanded twist"),
     "left_joints": ("A,B", "of a bag: joints of the left wheels"),
     "right_joints": ("A,B", "of a bag: joints of the right wheels"),
+    "wheel_signal": ("WORD", "of a bag: position or velocity of the joint states"),
+    "wheels_unit": ("UNIT", "of a bag: of a pair of wheel topics: rad, rad/s, m/s or ticks"),
     "base_frame": ("FRAME", "of a bag: the robot's frame"),
     "map_frame": ("FRAME", "of a bag: the reference's frame"),
-    "separation_multiplier": ("X", "of a bag: that the wheel odometry was made with"),
+    "separation": ("M", "of a bag: wheel separation that the wheel odometry was made with [m]"),
+    "separation_multiplier": ("X", "of a bag: its multiplier that the wheel odometry was made with"),
     "plate": ("WIDTH[,X,Y,YAW][,SIDE]", "on the robot, seen by a scanner that stands left|right|front|back of it"),
 }
 
