@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.stats import binom, chi2
+from scipy.stats import binom
+from scipy.stats import t as student
 
 from skidsteer import cli
 from skidsteer.calibration import Calibration
@@ -67,7 +68,10 @@ def some() -> Fit:
 
 
 def test_by_hand(some: Fit) -> None:
-    """Two multipliers, 1.5 +- 0.3 and 1.9 +- 0.4: (0.4 / 0.5)^2 = 0.64 with one degree of freedom."""
+    """Two multipliers, 1.5 +- 0.3 and 1.9 +- 0.4: (0.4 / 0.5)^2 = 0.64 with one degree of freedom.
+
+    34 s are four stretches of 10 s; F with 1 and 8 degrees of freedom is the square of Student's t with 8.
+    """
     drive = driven(ASPHALT, 0)
     options = replace(KNOWN, time_offset=0.15, lag=0.08)
     found = fit(Multiplier.nominal(P3AT), [drive], [increment_windows(drive)], options)
@@ -79,7 +83,8 @@ def test_by_hand(some: Fit) -> None:
 
     result = wald_test([with_value(1.5, 0.3), with_value(1.9, 0.4)])
     assert result.statistic == pytest.approx(0.64)
-    assert (result.freedom, result.p) == (1, pytest.approx(float(chi2.sf(0.64, 1))))
+    assert (result.freedom, result.stretches) == (1, 8)
+    assert result.p == pytest.approx(2.0 * float(student.sf(0.8, 8)))
     three = wald_test([with_value(1.5, 0.3), with_value(1.9, 0.4), with_value(1.7, 0.2)])
     mean = (1.5 / 0.09 + 1.9 / 0.16 + 1.7 / 0.04) / (1 / 0.09 + 1 / 0.16 + 1 / 0.04)
     parts = [((v - mean) / s) ** 2 for v, s in ((1.5, 0.3), (1.9, 0.4), (1.7, 0.2))]
@@ -109,8 +114,8 @@ def test_false_alarms_come_as_often_as_promised() -> None:
     assert abs(statistic - 5.0) < 3.0 * np.sqrt(2.0 * 5.0 / pairs)
 
 
-def test_a_ground_that_is_two_percent_wider_is_found() -> None:
-    wider = replace(ASPHALT, icr_y_left=1.02 * ASPHALT.icr_y_left, icr_y_right=1.02 * ASPHALT.icr_y_right)
+def test_a_ground_that_is_four_percent_wider_is_found() -> None:
+    wider = replace(ASPHALT, icr_y_left=1.04 * ASPHALT.icr_y_left, icr_y_right=1.04 * ASPHALT.icr_y_right)
     found = [wald_test([fitted(ASPHALT, 300 + 2 * i), fitted(wider, 301 + 2 * i)]).p < 0.05 for i in range(8)]
     assert sum(found) >= 7
 
@@ -154,7 +159,10 @@ EQUAL = Comparison(Excess(0.01, -0.05, 0.07, 0.4), Excess(-0.02, -0.1, 0.06, 0.7
 )
 def test_sentences(p: float, a_on_b: Comparison | None, b_on_a: Comparison | None, needed: bool, words: str) -> None:
     found = Terrains(
-        "icr", ("ice", "mud"), Difference(9.0, 5, p), (Pair("ice", "mud", Difference(9.0, 5, p), a_on_b, b_on_a),)
+        "icr",
+        ("ice", "mud"),
+        Difference(9.0, 5, 20, p),
+        (Pair("ice", "mud", Difference(9.0, 5, 20, p), a_on_b, b_on_a),),
     )
     assert found.needed is needed
     assert words in found.because
@@ -281,7 +289,7 @@ def test_terrains_command(folders: dict[str, Path], call: Call) -> None:
     document = json.loads(out)
     assert code == 0
     assert document["grounds"] == ["a", "grass"]
-    assert document["p"] < 1e-6
+    assert document["p"] < 1e-3
     assert document["freedom"] == 2
     assert document["profiles_needed"] is True
     assert document["pairs"][0]["b_on_a"]["yaw"]["share"] > 0.2

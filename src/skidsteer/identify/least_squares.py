@@ -51,6 +51,7 @@ class Fit:
     windows: int
     iterations: int
     converged: bool
+    stretches: int  # of ``FitOptions.block`` seconds that told something
     inflated: float  # factor on the variances by the scatter between blocks; 1 where the noise model explains it
 
     @property
@@ -153,8 +154,14 @@ def _result(
         windows=sum(map(len, problem.windows)),
         iterations=iterations,
         converged=converged,
+        stretches=_telling(scores),
         inflated=inflated,
     )
+
+
+def _telling(scores: FloatArray) -> int:
+    """How many blocks have scores (blocks, f) other than zero."""
+    return int((np.abs(scores).sum(axis=1) > 0).sum())
 
 
 def _covariance(H: FloatArray, scores: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
@@ -166,7 +173,7 @@ def _covariance(H: FloatArray, scores: FloatArray, prior: FloatArray) -> tuple[F
     """
     p, known = len(H), np.diag(1.0 / prior**2)
     bread: FloatArray = np.asarray(np.linalg.inv(H + known))
-    blocks = int((np.abs(scores).sum(axis=1) > 0).sum())
+    blocks = _telling(scores)
     if p == 0 or blocks < 2 * p + 4:
         return bread, 1.0
     meat = scores.T @ scores * blocks / (blocks - 1)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
@@ -36,6 +36,7 @@ class Difference:
 
     statistic: float
     freedom: int  # directions compared, times the number of fits less one
+    stretches: int  # of 10 s that the covariances rest on
     p: float  # chance of so much or more if they have
 
 
@@ -98,8 +99,10 @@ def wald_test(fits: Sequence[Fit]) -> Difference:
     """Whether fits of one model to drives of different grounds have the same parameters.
 
     With the estimates t_i, covariances C_i and their weighted mean m the statistic sum (t_i - m)^T C_i^-1 (t_i - m) is
-    a chi-square (for two fits (t_1 - t_2)^T (C_1 + C_2)^-1 (t_1 - t_2)). Compared are the directions that all drives
-    determine: in the others the estimates agree because nothing moved them.
+    a chi-square where the C_i are known (for two fits (t_1 - t_2)^T (C_1 + C_2)^-1 (t_1 - t_2)). Their noise is
+    estimated: an F distribution with as many degrees of freedom as there are independent stretches of 10 s allows for
+    that, cautiously on short drives. Compared are the directions that all drives determine: in the others the estimates
+    agree because nothing moved them.
 
     Raises:
         RequestError: fewer than two fits, of different models, or nothing that all of them determine.
@@ -116,7 +119,8 @@ def wald_test(fits: Sequence[Fit]) -> Difference:
     mean = np.linalg.solve(precision.sum(axis=0), np.einsum("kij,kj->i", precision, theta))
     statistic = float(np.einsum("ki,kij,kj->", theta - mean, precision, theta - mean))
     freedom = U.shape[1] * (len(fits) - 1)
-    return Difference(statistic, freedom, float(chi2.sf(statistic, freedom)))
+    stretches = sum(f.stretches for f in fits)
+    return Difference(statistic, freedom, stretches, float(fisher.sf(statistic / freedom, freedom, stretches)))
 
 
 def _determined(covariances: FloatArray) -> FloatArray:
