@@ -275,6 +275,28 @@ def test_a_reference_that_jumped_is_followed_and_the_parameters_stay(dof: int) -
     np.linalg.cholesky(state.covariance)
 
 
+@pytest.mark.parametrize("dof", [3, 2])
+def test_a_pose_set_anew_is_as_uncertain_as_the_reference(dof: int) -> None:
+    """Independent: the textbook update of a pose (or position) of which nothing was known."""
+    f = make_filter(sigma=0.02, patience=1)
+    state = f.predict(f.start(5.0, POSE, P_POSE), WHEELS, 0.4)
+    R = np.array([[0.01, 0.002, 0.001], [0.002, 0.02, -0.001], [0.001, -0.001, 0.005]])[:dof, :dof]
+    z = (sensed(state.mean, MOUNT) + [5.0, -7.0, 1.0])[:dof]
+    seen = Pose(5.4, z, R, 0.0, MOUNT) if dof == 3 else Position(5.4, z, R, 0.0, MOUNT)
+    after, innovation = f.update(state, seen)
+    assert innovation.anchored
+    assert not innovation.accepted
+    assert_allclose(sensed(after.mean, MOUNT)[:dof], z, atol=1e-12)
+    assert_allclose(after.mean[dof:], state.mean[dof:], atol=0.0)
+    P, h = state.covariance.copy(), 1e-6 * np.eye(8)
+    P[:dof], P[:, :dof] = 0.0, 0.0
+    P[:dof, :dof] = 1e5 * np.eye(dof)
+    H = np.array([(sensed(after.mean + e, MOUNT) - sensed(after.mean - e, MOUNT)) / 2e-6 for e in h]).T[:dof]
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    assert_allclose(after.covariance, P - K @ S @ K.T, atol=2e-6)
+
+
 def moved_on(pose: FloatArray) -> FloatArray:
     """0.2 s further by the model, at steady speeds."""
     f = make_filter()
