@@ -139,10 +139,10 @@ def test_a_table_as_rows() -> None:
 
 
 def test_the_command_prints_and_writes(run: Run, tmp_path: Path) -> None:
-    done = run("reproduce", "wang2015", "--json", "--out", tmp_path / "new")
+    done = run("reproduce", "giannoccaro2015", "--json", "--out", tmp_path / "new")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
-    assert document["paper"] == "wang2015"
+    assert document["paper"] == "giannoccaro2015"
     assert document["figures"] == []
     row = document["rows"][0]
     assert row["difference"] == pytest.approx(row["ours"] - row["paper"])

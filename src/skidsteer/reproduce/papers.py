@@ -7,7 +7,7 @@ from pathlib import Path
 
 from skidsteer.errors import RequestError
 from skidsteer.io.atomic import write_text
-from skidsteer.reproduce import giannoccaro2015, thalmann2016, wang2015
+from skidsteer.reproduce import giannoccaro2015, thalmann2016, wang_simulated
 from skidsteer.reproduce import rows as lines
 from skidsteer.reproduce.figure import draw, to_csv
 from skidsteer.reproduce.rows import Reproduction
@@ -15,7 +15,7 @@ from skidsteer.reproduce.rows import Reproduction
 PAPERS: dict[str, Callable[[], Reproduction]] = {
     "giannoccaro2015": lambda: Reproduction(giannoccaro2015.rows()),
     "thalmann2016": thalmann2016.reproduction,
-    "wang2015": lambda: Reproduction(wang2015.rows()),
+    "wang2015": wang_simulated.reproduction,
 }
 
 

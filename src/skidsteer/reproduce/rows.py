@@ -11,7 +11,7 @@ from typing import Literal
 
 from skidsteer.reproduce.figure import Figure
 
-Verdict = Literal["reproduced", "misprint", "not reproducible", "deviates"]
+Verdict = Literal["reproduced", "misprint", "not reproducible", "deviates", "simulated"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,8 @@ class Row:
     """One printed figure and ours.
 
     ``misprint``: the paper contradicts itself and the right figure is known. ``not reproducible``: its figure does not
-    follow from what it prints. ``deviates``: ours should agree and does not. All but ``reproduced`` give a reason.
+    follow from what it prints. ``deviates``: ours should agree and does not. ``simulated``: the paper measured a robot,
+    and a simulated one stands in for it. All but ``reproduced`` give a reason.
     """
 
     what: str  # with the place in the paper
