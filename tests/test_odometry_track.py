@@ -21,7 +21,7 @@ from skidsteer.odometry.saved_state import load_state, save_state
 from skidsteer.odometry.state import FilterState, Pose, YawRate
 from skidsteer.odometry.timeline import Timeline
 from skidsteer.odometry.track import Track, replay, smooth, stepwise
-from skidsteer.se2 import FloatArray, wrap
+from skidsteer.se2 import FloatArray, compose, wrap
 from skidsteer.windows import Mount
 
 START = np.diag([0.01, 0.01, 0.01]) ** 2
@@ -244,6 +244,21 @@ def test_smoothing_helps_where_the_reference_was_lost() -> None:
     assert np.linalg.eigvalsh(both.covariances).min() > 0.0
 
 
+def test_nothing_is_smoothed_over_a_jump_of_the_reference() -> None:
+    """The map moves by 5 m after 30 s: what was before stays in the old one."""
+    truth = simulated(turning(60.0, np.random.default_rng(2)), ASPHALT.theta, np.random.default_rng(3))
+    assert truth.log.reference is not None
+    seen = truth.log.reference.values + np.where(truth.log.reference.t[:, None] > 30.0, [5.0, 0.0, 0.0], 0.0)
+    log = replace(truth.log, reference=Series(truth.log.reference.t, seen))
+    f = make_filter()
+    both = smooth(f, f.start(0.0, truth.poses[0], START), log)
+    assert both.anchored.sum() == 1
+    for until, moved in ((29.0, 0.0), (35.0, 5.0)):
+        true = [np.interp(until, truth.t, column) for column in truth.poses.T]
+        at = int(np.searchsorted(both.t, until))
+        assert_allclose(both.poses[at, :2], [true[0] + moved, true[1]], atol=0.05)
+
+
 def test_only_the_adaptive_filter_is_smoothed() -> None:
     f = make_filter(adapt=False)
     log = busy_log()
@@ -302,6 +317,11 @@ def test_it_begins_where_the_first_pose_says() -> None:
     assert np.hypot(*(track.poses[0, :2] - truth.poses[0, :2])) < 0.2
     assert np.hypot(*error(track, truth)[:2]) < 0.05
     np.linalg.cholesky(track.last.covariance)
+    assert late.reference is not None
+    mount = Mount(0.5, -0.3, 1.0)
+    elsewhere = compose(late.reference.values, [0.5, -0.3, 1.0])
+    mounted = replace(late, reference=Series(late.reference.t, elsewhere), mount=mount)
+    assert_allclose(begin(f, mounted, ASPHALT, LAG).pose, begin(f, late, ASPHALT, LAG).pose, atol=1e-9)
     alone = replace(truth.log, reference=None)
     assert_allclose(begin(f, alone, ASPHALT, LAG).pose, np.zeros(3), atol=0.0)
 
