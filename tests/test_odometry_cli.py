@@ -28,6 +28,7 @@ from skidsteer.noise import Noise
 from skidsteer.odometry.filters import FILTERS
 from skidsteer.odometry.run import OdometryOptions, run
 from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH, sample
+from skidsteer.se2 import compose
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Timing, increment_windows
 
@@ -145,6 +146,12 @@ def test_without_a_reference_it_reckons_from_the_origin(known: Calibration, shor
     assert ignored.distance is not None
     assert ignored.nominal is not None
     assert ignored.distance.most < 0.3 < ignored.nominal.most
+    assert short.pose is not None
+    elsewhere = compose([3.0, -2.0, 2.0], short.pose.values)
+    turned = run_of(known, replace(short, pose=Series(short.pose.t, elsewhere)), reference=False)
+    assert turned.distance.most == pytest.approx(ignored.distance.most, rel=1e-6)
+    positions = replace(short, pose=None, position=Series(short.pose.t, elsewhere[:, :2]))
+    assert run_of(known, positions, reference=False).distance.rms < 0.1
 
 
 def test_smoothing_comes_closer(known: Calibration, short: Drive) -> None:
