@@ -1,0 +1,26 @@
+"""Path following: controllers with one interface, and the wheel speeds they ask for."""
+
+from skidsteer.control.huskic import Huskic, HuskicGains
+from skidsteer.control.path_state import Controller, PathError, PathState, path_error
+from skidsteer.control.pentzer import Pentzer, PentzerGains
+from skidsteer.control.pure_pursuit import PurePursuit
+from skidsteer.control.soetanto import Soetanto, SoetantoGains
+from skidsteer.control.speed import SaturationSpeed, Wheels, icr_x_at, path_curvature
+
+__all__ = [
+    "Controller",
+    "Huskic",
+    "HuskicGains",
+    "PathError",
+    "PathState",
+    "Pentzer",
+    "PentzerGains",
+    "PurePursuit",
+    "SaturationSpeed",
+    "Soetanto",
+    "SoetantoGains",
+    "Wheels",
+    "icr_x_at",
+    "path_curvature",
+    "path_error",
+]

@@ -1,0 +1,177 @@
+"""What every controller shares: where it is on its path, the errors there, and the two functions that drive it on.
+
+A path in reverse is driven with the rear ahead. Seen from the rear the robot is one that drives forward: its speed has
+the other sign, icr_x lies on the other side, the yaw rate stays. The laws are written for that robot, so that driving
+in reverse is the mirror of driving ahead.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skidsteer.errors import DataError
+from skidsteer.paths import Path
+
+ARRIVED = 0.01  # [m] before the end of an open path, where driving ends
+CROWDED = 0.2  # least 1 - c y_e: nearer to the centre of curvature the laws take it for this
+STEEPEST = 0.95  # greatest icr_x c: a robot whose ICR lies as far ahead as the path's radius cannot stay on it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathState:
+    """A path and the arc length at which its moving frame is: the nearest point, or the target of a Lyapunov law."""
+
+    path: Path
+    s: float  # [m]
+
+    @classmethod
+    def begin(cls, path: Path, pose: ArrayLike) -> PathState:
+        """At the point of the path nearest to a pose (3,).
+
+        Raises:
+            DataError: a pose that is not finite.
+        """
+        x, y, _ = finite("pose", pose)
+        return cls(path, path.project((x, y)))
+
+    @property
+    def direction(self) -> float:
+        """1 ahead, -1 in reverse."""
+        return -1.0 if self.path.reverse else 1.0
+
+    @property
+    def remaining(self) -> float:
+        """[m] to the end of the path; infinite where it is closed."""
+        return math.inf if self.path.closed else self.path.length - self.s
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the end is reached: every controller stops there."""
+        return self.remaining <= ARRIVED
+
+    def projected(self, pose: ArrayLike) -> PathState:
+        """At the nearest point of the path, looked for about where it was (``Path.project``)."""
+        x, y, _ = finite("pose", pose)
+        return replace(self, s=self.path.project((x, y), near=self.s))
+
+
+class PathError(NamedTuple):
+    """The robot in the moving frame, Huskić 2017, Fig. 1 and Eq. (7), and the path there."""
+
+    x_e: float  # [m] ahead of the frame
+    y_e: float  # [m] to its left
+    theta_e: float  # [rad] by which the direction of driving is turned to the left of the tangent, in [-pi, pi)
+    curvature: float  # [1/m]
+    slope: float  # [1/m^2] of the curvature by arc length
+
+
+class Controller(Protocol):
+    """A controller: its options are its fields, where it is on the path is in the state. Every function is pure."""
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> tuple[float, float]:
+        """What to drive now.
+
+        Args:
+            pose: (3,) x, y [m], yaw [rad] of base_link in the frame of the path.
+            twist: (3,) v_x, v_y [m/s], omega [rad/s] of base_link, as measured.
+            state: where it is on the path.
+
+        Returns:
+            v = v_x [m/s], negative in reverse, and omega [rad/s]; both 0 at the end of the path.
+
+        Raises:
+            DataError: a pose or twist that is not finite: stop, and wait for the localization.
+        """
+
+    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
+        """The state dt [s] later, with the robot at a pose (3,) with a twist (3,); a dt of 0 moves no target.
+
+        Raises:
+            DataError: a pose, twist or dt that is not finite, or a dt below 0.
+        """
+
+
+def path_error(state: PathState, pose: ArrayLike) -> PathError:
+    """A pose (3,) in the frame of the state: ``Path.error`` for one sample.
+
+    Raises:
+        DataError: a pose that is not finite.
+    """
+    x, y, yaw = finite("pose", pose)
+    at_x, at_y, tangent = state.path.at(state.s).tolist()
+    cos, sin = math.cos(tangent), math.sin(tangent)
+    turned = yaw - tangent + (math.pi if state.path.reverse else 0.0)
+    return PathError(
+        cos * (x - at_x) + sin * (y - at_y),
+        cos * (y - at_y) - sin * (x - at_x),
+        wrapped(turned),
+        float(state.path.curvature(state.s)),
+        float(state.path.curvature_slope(state.s)),
+    )
+
+
+def wrapped(angle: float) -> float:
+    """[rad] in [-pi, pi), for one number."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def finite(name: str, values: ArrayLike) -> tuple[float, float, float]:
+    """Three numbers of a pose or twist.
+
+    Raises:
+        DataError: they are not three finite numbers.
+    """
+    three = np.asarray(values, dtype=float).ravel().tolist()
+    if len(three) != 3 or not all(math.isfinite(value) for value in three):
+        raise DataError(f"the {name} is {three}, not three finite numbers; stop until it is known again")
+    return three[0], three[1], three[2]
+
+
+def elapsed(dt: float) -> float:
+    """A time step [s], 0 or more.
+
+    Raises:
+        DataError: another one.
+    """
+    if not (math.isfinite(dt) and dt >= 0.0):
+        raise DataError(f"the time step is {dt} s; a controller needs stamps that do not go back")
+    return dt
+
+
+def steady_heading(icr_x: float, error: PathError) -> tuple[float, float]:
+    """Heading error [rad] with which the origin stays on a curve, and its slope [rad/m] by arc length.
+
+    With v_y = -icr_x omega the origin stays on the path where sin(theta_e) = icr_x (c + dtheta_e / ds): its solution
+    to second order in icr_x. Proposition 1 of Huskić 2017, theta_e = 0, holds on straights, or for icr_x = 0.
+    """
+    sine = icr_x * (error.curvature + icr_x * error.slope)
+    if abs(sine) >= STEEPEST:
+        return math.copysign(math.asin(STEEPEST), sine), 0.0
+    return math.asin(sine), icr_x * error.slope / math.sqrt(1.0 - sine**2)
+
+
+def turn_within(v: float, omega: float, omega_max: float) -> tuple[float, float]:
+    """A command slowed so that abs(omega) <= omega_max [rad/s]; its curvature is kept."""
+    scale = min(1.0, omega_max / abs(omega)) if omega else 1.0
+    return scale * v, scale * omega
+
+
+def braked(speed: float, remaining: float, deceleration: float) -> float:
+    """The speed [m/s], or the one from which a deceleration [m/s^2] stops it within the way that remains [m]."""
+    return min(speed, math.sqrt(2.0 * deceleration * max(remaining, 0.0)))
+
+
+def require_positive(owner: object, *names: str) -> None:
+    """Refuse options that are not above 0 (infinite is allowed).
+
+    Raises:
+        ValueError: one of them is not.
+    """
+    for name in names:
+        if not getattr(owner, name) > 0.0:
+            raise ValueError(f"need {name} > 0, got {getattr(owner, name)}")

@@ -1,0 +1,140 @@
+"""How fast to drive: longitudinal speed of Huskić 2017, IV.C, and wheel speeds within their limits.
+
+Equation (17) as printed jumps with the sign of omega and where V1 crosses epsilon, and does not by itself keep the
+wheels within their limits. Here both jumps are blended over, and ``Wheels`` slows what is commanded in wheel space, so
+that no limit is exceeded and the curvature is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skidsteer.models import MatrixModel, Model
+from skidsteer.se2 import FloatArray
+
+STEPS = 50  # of the scale that brings a nonlinear model within the limit
+CLOSE = 1e-7  # of the limit, by which it may be missed below
+BLEND = 0.1  # [rad/s] of yaw rate to either side of 0, over which the sides take turns in Eq. (17)
+PROBE = 1e-3  # [1/m] curvature at which the ICR of a nearly straight drive is told
+
+
+def path_curvature(model: Model, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:
+    """Curvature (...) [1/m] of the way of the origin, Huskić 2017, Eq. (11), for any model.
+
+    Args:
+        model: what the rims do.
+        v_left: (...) [m/s] of the left rims.
+        v_right: (...) [m/s] of the right rims; the two are not both 0.
+
+    Returns:
+        omega over speed; infinite in a turn on the spot about the origin.
+    """
+    v_x, v_y, omega = np.moveaxis(model.twist(v_left, v_right), -1, 0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(omega / np.hypot(v_x, v_y))
+
+
+def icr_x_at(model: Model, v: float, curvature: float = PROBE) -> float:
+    """How far [m] ahead of the origin a model's ICR lies at a speed v [m/s], v_y = -icr_x omega (Huskić 2017, Eq. (2)).
+
+    Raises:
+        ValueError: a v or curvature [1/m] of 0.
+    """
+    if v * curvature == 0.0:
+        raise ValueError(f"an ICR needs a turn at some speed, got v = {v}, curvature = {curvature}")
+    _, v_y, omega = model.twist(*model.wheel_speeds(v, v * curvature)).tolist()
+    return float(-v_y / omega)
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """A calibrated model and the rim speed that the wheels reach."""
+
+    model: Model
+    max_speed: float  # [m/s] at the rim
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.max_speed < math.inf:
+            raise ValueError(f"need a finite max_speed > 0 [m/s], got {self.max_speed}")
+
+    def speeds(self, v: float, omega: float) -> FloatArray:
+        """Rim speeds (2,) [m/s], left and right, for v [m/s] and omega [rad/s], slowed alike where one is too fast.
+
+        No element is ever beyond ``max_speed``; the curvature omega / v is kept.
+
+        Raises:
+            ValueError: v or omega that are not finite.
+        """
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            raise ValueError(f"need finite v and omega, got {v}, {omega}")
+        rims = self.model.wheel_speeds(v, omega)
+        fastest = float(np.abs(rims).max())
+        if fastest <= self.max_speed:
+            return rims
+        if isinstance(self.model, MatrixModel):
+            rims = rims * (self.max_speed / fastest)
+        else:
+            scale = self._scale(v, omega)
+            rims = self.model.wheel_speeds(scale * v, scale * omega)
+        return np.clip(rims, -self.max_speed, self.max_speed)  # what rounding left
+
+    def _scale(self, v: float, omega: float) -> float:
+        """Greatest scale in [0, 1] of a command that the wheels can do; what a model cannot tell counts as too fast.
+
+        Rim speeds are nearly in proportion to the command; where that leads astray the bracket is halved.
+        """
+        low, high, scale = 0.0, 1.0, 0.5
+        for _ in range(STEPS):
+            fastest = float(np.abs(self.model.wheel_speeds(scale * v, scale * omega)).max())
+            low, high = (scale, high) if fastest <= self.max_speed else (low, scale)
+            if (1.0 - CLOSE) * self.max_speed <= fastest <= self.max_speed:
+                break
+            guess = scale * (1.0 - 0.5 * CLOSE) * self.max_speed / fastest
+            scale = guess if low < guess < high else 0.5 * (low + high)
+        return low
+
+    def reachable(self, curvature: float) -> float:
+        """Greatest v_x [m/s] at a curvature omega / v_x [1/m], Huskić 2017, Eq. (16), of whichever side is faster."""
+        if isinstance(self.model, MatrixModel):
+            return self.max_speed / float(np.abs(self.model.wheel_speeds(1.0, curvature)).max())
+        rims = self.speeds(2.0 * self.max_speed, 2.0 * self.max_speed * curvature)
+        return float(self.model.twist(rims[0], rims[1])[0])
+
+    def turning(self, omega: float) -> float:
+        """v_x [m/s] with the outer wheels at their limit and the inner ones standing, Eq. (17) for V1 >= epsilon.
+
+        The sides take turns over ``BLEND`` about a yaw rate omega [rad/s] of 0.
+        """
+        right = min(max(0.5 + 0.5 * omega / BLEND, 0.0), 1.0)
+        outer = self.model.twist([0.0, self.max_speed], [self.max_speed, 0.0])[:, 0]
+        return float(right * outer[0] + (1.0 - right) * outer[1])
+
+
+@dataclass(frozen=True, slots=True)
+class SaturationSpeed:
+    """Huskić 2017, Eq. (17), made continuous: as fast as the wheels can on the path, slower while far from it."""
+
+    wheels: Wheels
+    desired: float = math.inf  # [m/s] never to be exceeded
+    epsilon: float = 0.5  # [m^2] of V1, beyond which it is far from the path
+
+    def __post_init__(self) -> None:
+        if not (self.desired > 0.0 and self.epsilon > 0.0):
+            raise ValueError(f"need desired > 0 [m/s] and epsilon > 0 [m^2], got {self.desired}, {self.epsilon}")
+
+    def at(self, v1: float, curvature: float, omega: float) -> float:
+        """Speed [m/s].
+
+        Args:
+            v1: [m^2] the Lyapunov function, Eq. (8).
+            curvature: [1/m] omega / v_x that the path asks for.
+            omega: [rad/s] measured: which side is the outer one.
+        """
+        speed, near = self.wheels.reachable(curvature), min(max(2.0 - 2.0 * v1 / self.epsilon, 0.0), 1.0)
+        if near < 1.0:  # blended over the upper half of epsilon
+            speed = near * speed + (1.0 - near) * self.wheels.turning(omega)
+        return min(self.desired, speed)

@@ -1,0 +1,75 @@
+"""The target that a Lyapunov law drives along its path: Huskić 2017, section III, after Soetanto et al. 2003.
+
+It is no projection: its arc length has a rate of its own, so that the law holds nearer to the centre of curvature, too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from numpy.typing import ArrayLike
+
+from skidsteer.control.path_state import PathError, PathState, elapsed, finite, path_error
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """delta(y_e) = steady - theta_a tanh(y_e / length): the heading error with which to come nearer to the path.
+
+    The laws are written for the direction of driving, which is where the sign of v in delta(y_e, v) has gone.
+    """
+
+    theta_a: float  # [rad] far from the path
+    length: float  # [m] from the path at which it is 76 % of that
+
+    def angle(self, y_e: float, steady: float = 0.0) -> float:
+        """Delta [rad]."""
+        return steady - self.theta_a * math.tanh(y_e / self.length)
+
+    def slope(self, y_e: float) -> float:
+        """Its derivative [rad/m] by y_e."""
+        return -self.theta_a / self.length * (1.0 - math.tanh(y_e / self.length) ** 2)
+
+
+def rate(error: PathError, v: float, icr_x: float, omega: float, k1: float) -> float:
+    """Speed [m/s] of the target, Huskić 2017, Eq. (10); it never goes back."""
+    return max(0.0, v * math.cos(error.theta_e) + icr_x * omega * math.sin(error.theta_e) + k1 * error.x_e)
+
+
+def turn_with_target(
+    error: PathError, v: float, icr_x: float, k1: float, by_y: float, by_s: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Yaw rate delta' + c s' that keeps theta_e - delta: a + b omega, for a target that moves and one that stands.
+
+    Args:
+        error: in the frame of the target.
+        v: [m/s] in the direction of driving.
+        icr_x: [m] ahead of the origin in that direction.
+        k1: [1/s] of the target.
+        by_y: derivative [rad/m] of delta by y_e.
+        by_s: derivative [rad/m] of delta by the arc length.
+
+    Returns:
+        (a [rad/s], b) with s' of Eq. (10), and with s' = 0.
+    """
+    cos, sin = math.cos(error.theta_e), math.sin(error.theta_e)
+    stands = by_y * v * sin, -by_y * icr_x * cos  # y_e', Eq. (7)
+    turn = error.curvature + by_s - by_y * error.curvature * error.x_e  # of each metre of s
+    moves = stands[0] + turn * (v * cos + k1 * error.x_e), stands[1] + turn * icr_x * sin
+    return moves, stands
+
+
+def advanced(state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, icr_x: float, k1: float) -> PathState:
+    """The target dt [s] later.
+
+    x_e decays by exp(-k1 dt) in a step, exactly as x_e' = -k1 x_e, so that no step is too long.
+
+    Raises:
+        DataError: a pose, twist or dt that is not finite, or a dt below 0.
+    """
+    error, (v, _, omega) = path_error(state, pose), finite("twist", twist)
+    if elapsed(dt) == 0.0:
+        return state
+    gain = -math.expm1(-k1 * dt) / dt
+    return replace(state, s=state.s + dt * rate(error, state.direction * v, state.direction * icr_x, omega, gain))
