@@ -420,7 +420,7 @@ def simulate(
         Path | None, typer.Option(metavar="FILE", help="CSV: t with v, omega or v_left, v_right")
     ] = None,
     manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA:...", help="instead: one after the other")] = None,
-    plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic or terramechanic")] = "terramechanic",
+    plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "terramechanic",
     terrain: Annotated[str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")] = "lab",
     seed: Annotated[int, typer.Option(help="of the sensors' noise")] = 0,
 ) -> None:

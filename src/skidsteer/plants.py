@@ -9,7 +9,8 @@ from dataclasses import replace
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.models import SymmetricIcr
-from skidsteer.simulate import Sensors, kinematic_drive, refuse_fast
+from skidsteer.mujoco_plant import roll
+from skidsteer.simulate import Sensors, kinematic_drive, recorded, refuse_fast
 from skidsteer.terramechanics.dynamics import terramechanic_drive
 from skidsteer.terramechanics.robot import robot
 from skidsteer.terramechanics.terrain import Ground
@@ -35,7 +36,12 @@ def terramechanic(name: str, vehicle: Vehicle, ground: Ground, commands: Series,
     return terramechanic_drive(name, robot(vehicle), ground, commands, sensors, seed)
 
 
-PLANTS: dict[str, Plant] = {"kinematic": kinematic, "terramechanic": terramechanic}
+def mujoco(name: str, vehicle: Vehicle, ground: Ground, commands: Series, sensors: Sensors, seed: int) -> Drive:
+    """Coulomb friction at points in the physics engine MuJoCo; needs ``skidsteer[mujoco]``."""
+    return recorded(name, vehicle, roll(robot(vehicle), ground, commands), sensors, seed, commands)
+
+
+PLANTS: dict[str, Plant] = {"kinematic": kinematic, "terramechanic": terramechanic, "mujoco": mujoco}
 
 
 def plant(name: str) -> Plant:

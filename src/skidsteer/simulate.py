@@ -52,7 +52,7 @@ class Motion:
     pose: FloatArray  # (n, 3) of base_link
     twist: FloatArray  # (n, 3) of base_link, in its own frame
     rims: FloatArray  # (n, 2) left and right [m/s]
-    power: FloatArray  # (n, 3) [W] mean over the step before: put in by the rims, lost by sliding, by rolling
+    power: FloatArray  # (n, 3) [W] mean over the step before: by the rims, lost by sliding, by rolling; NaN: not told
 
     def held_rims(self) -> Series:
         """Mean rim speeds (n - 1, 2) of each step, stamped with its begin: what perfect encoders tell."""
