@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from skidsteer.drive import Drive
 from skidsteer.identify.least_squares import FitOptions, fit
-from skidsteer.models import Icr
+from skidsteer.models import ScheduledIcr
 from skidsteer.windows import increment_windows
 
 SURE = 3.0  # [sigma] that the yaw of the sensor must differ from the assumed one by
@@ -16,11 +16,12 @@ def is_turned(drives: list[Drive], options: FitOptions, spacing: float = 0.0) ->
     """Whether drives show that the sensor of their reference poses sits at another yaw than ``options.mount`` says.
 
     A robot that drives straight moves along its own x axis; a sensor turned by a few degrees sees it crab. That no
-    tread ICR explains it tells the two apart. Needs poses and a place of the sensor that is given.
+    tread ICR explains it tells the two apart. The freest model is fitted, for what a simpler one leaves hides the angle.
+    Needs poses and a place of the sensor that is given.
     """
     if options.mount is None or not any(d.pose is not None for d in drives):
         return False
     windows = [increment_windows(drive, spacing) for drive in drives]
-    found = fit(Icr.nominal(drives[0].vehicle), drives, windows, replace(options, align=True))
+    found = fit(ScheduledIcr.nominal(drives[0].vehicle), drives, windows, replace(options, align=True))
     yaw, sigma = found.named("mount_yaw")
     return abs(yaw - options.mount.yaw) > SURE * sigma
