@@ -16,8 +16,8 @@ def is_turned(drives: list[Drive], options: FitOptions, spacing: float = 0.0) ->
     """Whether drives show that the sensor of their reference poses sits at another yaw than ``options.mount`` says.
 
     A robot that drives straight moves along its own x axis; a sensor turned by a few degrees sees it crab. That no
-    tread ICR explains it tells the two apart. The freest model is fitted: what a simpler one leaves hides the angle. Needs
-    poses and a place of the sensor that is given.
+    tread ICR explains it tells the two apart. The freest model is fitted: what a simpler one leaves hides the angle.
+    Needs poses and a place of the sensor that is given.
     """
     if options.mount is None or not any(d.pose is not None for d in drives):
         return False
