@@ -1,6 +1,7 @@
 """Drives that come with the package, so that everything can be tried without a robot: ``sample:NAME``.
 
-Most are simulated; those of the Rover 4WD1 hold the printed measurements of a real robot.
+Those of the Rover 4WD1 hold the printed measurements of a real robot, the others are simulated: ``p3at-lab`` by a model
+that is known exactly, the rest by the forces of the ground, which no model of ours knows.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from skidsteer.errors import RequestError
 from skidsteer.models import Differential, Icr
 from skidsteer.models.slip_ratio import CircleRun
 from skidsteer.se2 import FloatArray, exp
-from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
+from skidsteer.simulate import Sensors, controller, kinematic_drive, rims_from_manoeuvres
+from skidsteer.terramechanics.dynamics import terramechanic_drive
+from skidsteer.terramechanics.robot import robot
+from skidsteer.terramechanics.terrain import terrain
 from skidsteer.vehicle import preset
 
 P3AT_TRUTH = Icr(0.2553, -0.3071, -0.0120, 0.9271, 0.9049)  # Mandow 2007, Table I, pneumatic tyres at 20 psi, asphalt
@@ -50,6 +54,46 @@ def _representative_paths() -> np.ndarray:
         rows += [[8.0, v, 0.0], stop, [6.0, 0.0, 0.8], stop, [8.0, v, 0.5 * v], [8.0, v, -0.5 * v], stop]
         rows += [[6.0, 0.0, -0.8], stop, [4.0, -v, 0.0], [5.0, v, 1.2 * v], [5.0, v, -1.2 * v]]
         rows += [[2.0, v, s * 0.9] for s in (1, -1, 1, -1, 1, -1)] + [[6.0, 0.5 * v, 0.4], [6.0, 0.5 * v, -0.4], stop]
+    return np.array(rows)
+
+
+GROUND_SENSORS = Sensors(
+    reference_rate=10.0,
+    position_sigma=0.01,
+    yaw_sigma=float(np.radians(0.5)),
+    reference_delay=0.08,
+    encoder_rate=50.0,
+    encoder_step=1e-4,
+    gyro_rate=50.0,
+    gyro_sigma=0.003,
+    gyro_bias=0.002,
+)
+COM_AHEAD = 0.02  # [m] centre of mass of the simulated robots
+
+
+def on_ground(name: str, ground: str, speeds: Sequence[float], rates: Sequence[float], seed: int = 2015) -> Drive:
+    """A preset robot on simulated ground (`terramechanics`): straights, arcs, turns on the spot, backwards; 2 minutes.
+
+    Args:
+        name: of the vehicle's preset.
+        ground: of the terrain.
+        speeds: [m/s] driven.
+        rates: [rad/s] of the arcs; on the spot the last of them.
+        seed: of the sensors' noise.
+    """
+    made = robot(preset(name), com_x=COM_AHEAD)
+    commands = rims_from_manoeuvres(_arcs(speeds, rates), controller(made.vehicle))
+    short = name.removeprefix("pioneer-")
+    return terramechanic_drive(f"{short}-{ground}", made, terrain(ground), commands, GROUND_SENSORS, seed)
+
+
+def _arcs(speeds: Sequence[float], rates: Sequence[float]) -> FloatArray:
+    """Rows of duration, v, omega."""
+    stop = [1.0, 0.0, 0.0]
+    rows = [[2.0, 0.0, 0.0]]
+    for v in speeds:
+        rows += [[5.0, v, 0.0], *([5.0, v, side * rate] for rate in rates for side in (1.0, -1.0)), stop]
+        rows += [[5.0, 0.0, rates[-1]], [5.0, 0.0, -rates[-1]], stop, [4.0, -v, 0.0], [3.0, -v, rates[0]], stop]
     return np.array(rows)
 
 
@@ -144,6 +188,21 @@ class Sample:
 
 SAMPLES: dict[str, Sample] = {
     "p3at-lab": Sample(p3at_lab, "simulated Pioneer P3-AT on asphalt, known truth (Mandow 2007, Table I), 5 minutes"),
+    "p3at-tiles": Sample(
+        partial(on_ground, "pioneer-p3at", "tiles", (0.2, 0.3, 0.4), (0.3, 0.6)),
+        "simulated Pioneer P3-AT by the forces of a tiled floor (Wang 2015), up to 0.4 m/s, 2 minutes",
+    ),
+    "warthog-grass": Sample(
+        partial(on_ground, "warthog", "grass", (0.5, 1.0, 2.0), (0.3, 0.6)),
+        "simulated Warthog by the forces of grass, up to 2 m/s, 2 minutes",
+    ),
+    "jackal-asphalt": Sample(
+        partial(on_ground, "jackal", "asphalt", (0.3, 0.6, 0.9), (0.4, 0.8)),
+        "simulated Jackal by the forces of asphalt, up to 0.9 m/s, 2 minutes",
+    ),
+    "jackal-grass": Sample(
+        partial(on_ground, "jackal", "grass", (0.3, 0.6, 0.9), (0.4, 0.8)), "the same commands on grass"
+    ),
     "rover-4wd1": Sample(rover_4wd1, "measured circle runs of a real Rover 4WD1 on three surfaces (Giannoccaro 2015)"),
     "rover-4wd1-indoor": Sample(partial(rover_4wd1, "indoor"), "those ten on the floor of the laboratory"),
     "rover-4wd1-outdoor": Sample(partial(rover_4wd1, "outdoor"), "those ten on the ground outside it, smoother"),
