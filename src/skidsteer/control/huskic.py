@@ -103,9 +103,10 @@ class Huskic:
 
     def _speed(self, error: PathError, turning: float, state: PathState) -> float:
         """[m/s], in the direction of driving."""
-        e, _, _ = self._deviation(error, state.direction * self.icr_x)
+        icr_x = state.direction * self.icr_x
+        e, _, _ = self._deviation(error, icr_x)
         facing = min(max((FACING - abs(e)) / (FACING - STEADY), 0.0), 1.0)
-        heading, _ = steady_heading(self.icr_x, error)
+        heading, _ = steady_heading(icr_x, error)
         asked = state.direction * error.curvature / math.cos(heading)  # omega / v_x, from Eq. (15)
         outer = state.direction * turning  # in reverse a left turn has its outer wheels on the left
         speed = self.speed.at(self._v1(error, e, 0.5), asked, outer)  # V1 of Eq. (8)

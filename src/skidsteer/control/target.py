@@ -61,9 +61,10 @@ def turn_with_target(
 
 
 def advanced(state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, icr_x: float, k1: float) -> PathState:
-    """The target dt [s] later.
+    """The target dt [s] later, and the robot at a pose with a twist, both (3,), that brought it there.
 
-    x_e decays by exp(-k1 dt) in a step, exactly as x_e' = -k1 x_e, so that no step is too long.
+    What the robot gained in the step is taken off x_e, which Eq. (10) reads where the step begins. What is left decays
+    by exp(-k1 dt), as x_e' = -k1 x_e does, so that no step is too long.
 
     Raises:
         DataError: a pose, twist or dt that is not finite, or a dt below 0.
@@ -71,5 +72,7 @@ def advanced(state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, icr
     error, (v, _, omega) = path_error(state, pose), finite("twist", twist)
     if elapsed(dt) == 0.0:
         return state
-    gain = -math.expm1(-k1 * dt) / dt
-    return replace(state, s=state.s + dt * rate(error, state.direction * v, state.direction * icr_x, omega, gain))
+    v, icr_x = state.direction * v, state.direction * icr_x
+    gained = v * math.cos(error.theta_e) + icr_x * omega * math.sin(error.theta_e)
+    left = error._replace(x_e=error.x_e - gained * dt)
+    return replace(state, s=state.s + dt * rate(left, v, icr_x, omega, -math.expm1(-k1 * dt) / dt))
