@@ -81,6 +81,9 @@ def test_the_path_reckoned_by_the_curve_turns_as_the_robot_does(path: Reckonings
     by_factory, by_curve = path.errors("P3-AT"), path.errors("proposed")
     assert by_curve[2] < 0.5 * by_factory[2]
     assert 0.01 < path.slid < 0.03  # to the left, out of the turn
+    known = {name: np.hypot(*path.errors(f"{name}, slide known")[:2]) for name in ("P3-AT", "proposed")}
+    assert known["proposed"] < 0.6 * known["P3-AT"]
+    assert known["proposed"] < np.hypot(*by_curve[:2])
     still = replace(path, by_model={"seen": path.seen + [0.3, 0.4, 0.5]})
     assert_allclose(still.errors("seen"), [0.4, 0.3, 0.5])  # across, along, yaw
 
@@ -112,7 +115,7 @@ def test_figures_are_those_of_the_paper(found: Runs, path: Reckonings) -> None:
     runs_there, plant, fitted, *_ = figures["figure-13"].curves
     assert_allclose(runs_there.y, plant.y, atol=0.004)
     assert fitted.y[0] == pytest.approx(1.0 + found.fit().a)
-    assert len(figures["figure-14"].curves) == 3
+    assert len(figures["figure-14"].curves) == 5
 
 
 def test_the_paper_is_calculated_and_simulated() -> None:

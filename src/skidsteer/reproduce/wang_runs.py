@@ -20,9 +20,8 @@ from skidsteer.laser.scans import SCANNERS
 from skidsteer.laser.scene import simulate_scans
 from skidsteer.laser.track import Track, track_plate
 from skidsteer.models import Model, SymmetricIcr
-from skidsteer.odometry.reckoning import reckon
 from skidsteer.se2 import FloatArray
-from skidsteer.simulate import Sensors, recorded
+from skidsteer.simulate import Motion, Sensors, recorded
 from skidsteer.terramechanics.dynamics import move
 from skidsteer.terramechanics.robot import wang_robot
 from skidsteer.terramechanics.steady_turn import steady_turn
@@ -51,7 +50,7 @@ class Watched:
 
     wheels: Series  # (n, 2) rim speeds [m/s] by counts
     track: Track  # in the scanner's frame
-    slid: float  # [m] what the robot went sideways, to its left
+    motion: Motion  # that neither tells, from where it began
 
     def rolled(self, t: FloatArray) -> FloatArray:
         """What the sides (k, 2) have rolled [m] at times t (k,)."""
@@ -80,8 +79,7 @@ def watch(rims: ArrayLike, durations: ArrayLike, terrain: Terrain, seed: int) ->
     place = se2.compose([AHEAD, 0.0, 0.5 * np.pi], se2.invert(middle))
     poses = se2.compose(place, motion.pose_at(np.arange(0.0, times[-1], 1.0 / SCANNER.rate)))
     scans = simulate_scans(SCANNER, [(poses, PLATE.width)], seed=seed)
-    slid = float(motion.twist[1:, 1] @ np.diff(motion.t))
-    return Watched(wheels, track_plate(scans, PLATE, wheels, rate=SCANNER.rate), slid)
+    return Watched(wheels, track_plate(scans, PLATE, wheels, rate=SCANNER.rate), motion)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,11 +141,15 @@ def _chi(row: FloatArray, scale: float, terrain: Terrain, seed: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reckonings:
-    """The example path: where the scanner saw the robot, and where counts alone lead by two models."""
+    """The example path: where the scanner saw the robot, and where counts alone lead by two models.
+
+    The models are "P3-AT" and "proposed"; of "P3-AT, slide known" and "proposed, slide known" the sideways speed is the
+    plant's own.
+    """
 
     t: FloatArray  # (k,) [s] from the first command
     seen: FloatArray  # (k, 3) in the scanner's frame
-    by_model: dict[str, FloatArray]  # (k, 3) each, of the models "P3-AT" and "proposed"
+    by_model: dict[str, FloatArray]  # (k, 3) each
     slid: float  # [m] what the robot went sideways, to its left
 
     def errors(self, model: str) -> FloatArray:
@@ -168,6 +170,17 @@ def reckonings(found: Runs, terrain: Terrain = TILES, seed: int = 48) -> Reckoni
     }
     track = seen.between(STAND, STAND + len(EXAMPLE) + SETTLE)
     start = seen.between(0.0, STAND).pose.mean(axis=0)
-    lines = {name: reckon(model, seen.wheels, start=start) for name, model in models.items()}
-    at = {name: np.column_stack([np.interp(track.t, seen.wheels.t, x) for x in line.T]) for name, line in lines.items()}
-    return Reckonings(track.t - STAND, track.pose, at, seen.slid)
+    sideways = np.interp(seen.wheels.t[:-1], seen.motion.t, seen.motion.twist[:, 1])
+    at = {}
+    for label, v_y in (("", np.zeros_like(sideways)), (", slide known", sideways)):
+        for name, model in models.items():
+            line = _reckoned(model, seen.wheels, v_y, start)
+            at[name + label] = np.column_stack([np.interp(track.t, seen.wheels.t, x) for x in line.T])
+    return Reckonings(track.t - STAND, track.pose, at, float(sideways @ np.diff(seen.wheels.t)))
+
+
+def _reckoned(model: Model, wheels: Series, v_y: FloatArray, start: FloatArray) -> FloatArray:
+    """Poses (n, 3) at the wheel samples by a model and a sideways speed (n - 1,) [m/s]."""
+    twist = model.twist(*wheels.values[:-1].T)
+    twist[:, 1] += v_y
+    return se2.chain(se2.exp(twist * np.diff(wheels.t)[:, None]), start)

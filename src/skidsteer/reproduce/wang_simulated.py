@@ -113,7 +113,11 @@ def _within(what: str, bound: float, ours: float, reason: str) -> Row:
 
 def _path_rows(path: Reckonings) -> tuple[Row, ...]:
     swapped = {"P3-AT": TABLE_4["proposed"], "proposed": TABLE_4["P3-AT"]}
-    slid = f"the plant slides {abs(path.slid):.3f} m sideways on the way, of which neither model knows"
+    known = ", ".join(f"{np.hypot(*path.errors(f'{name}, slide known')[:2]):.3f} m ({name})" for name in swapped)
+    slid = (
+        f"the plant slides {abs(path.slid):.3f} m sideways, which neither model knows and which makes up for a wrong"
+        f" heading; with the slide known the position errs by {known}"
+    )
     table = tuple(
         Row(f"path of Eq. (48), {model} model, {axis}, Table 4 with its rows swapped", printed, ours, "simulated", slid)
         for model, paper in swapped.items()
