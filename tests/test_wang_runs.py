@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skidsteer.errors import RequestError
+from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.circle_test import wang_protocol
 from skidsteer.reproduce import wang_simulated
 from skidsteer.reproduce.papers import PAPERS
@@ -68,6 +68,8 @@ def test_what_is_rolled_is_counted() -> None:
     assert_allclose(rolled[1], [0.2, 0.4], atol=1e-3)  # what the lag takes at first it gives back at last
     assert_allclose(rolled[1] / COUNT, np.round(rolled[1] / COUNT), atol=1e-6)
     assert seen.between(0.0, STAND).t[-1] <= STAND
+    with pytest.raises(DataError, match=r"out of sight from 90\.00 to 91\.00 s"):
+        seen.between(90.0, 91.0)
     with pytest.raises(RequestError, match=r"reaches 0\.69"):
         watch([[0.1, 0.8]], [2.0], TILES, 0)
 

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from skidsteer import se2
 from skidsteer.drive import Series
+from skidsteer.errors import DataError
 from skidsteer.identify.circle_test import CoefficientFit, chi_of_run, fit_coefficient, wang_protocol
 from skidsteer.laser.plate import Plate
 from skidsteer.laser.scans import SCANNERS
 from skidsteer.laser.scene import simulate_scans
-from skidsteer.laser.track import Track, track_plate
+from skidsteer.laser.track import track_plate
 from skidsteer.models import Model, SymmetricIcr
 from skidsteer.se2 import FloatArray
 from skidsteer.simulate import Motion, Sensors, recorded
@@ -49,7 +50,7 @@ class Watched:
     """A drive before the scanner: what encoders and plate tell of it."""
 
     wheels: Series  # (n, 2) rim speeds [m/s] by counts
-    track: Track  # in the scanner's frame
+    poses: Series  # (k, 3) in the scanner's frame, as the plate tells
     motion: Motion  # that neither tells, from where it began
 
     def rolled(self, t: FloatArray) -> FloatArray:
@@ -58,10 +59,16 @@ class Watched:
         whole = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         return np.column_stack([np.interp(t, self.wheels.t, side) for side in whole.T])
 
-    def between(self, start: float, end: float) -> Track:
-        """The sightings from one time to another [s]."""
-        inside = (self.track.t >= start) & (self.track.t <= end)
-        return replace(self.track, t=self.track.t[inside], pose=self.track.pose[inside])
+    def between(self, start: float, end: float) -> Series:
+        """The poses from one time to another [s].
+
+        Raises:
+            DataError: the plate was out of sight.
+        """
+        seen = self.poses.between(start, end)
+        if seen is None:
+            raise DataError(f"the plate is out of sight from {start:.2f} to {end:.2f} s")
+        return seen
 
 
 def watch(rims: ArrayLike, durations: ArrayLike, terrain: Terrain, seed: int) -> Watched:
@@ -69,7 +76,7 @@ def watch(rims: ArrayLike, durations: ArrayLike, terrain: Terrain, seed: int) ->
 
     Raises:
         RequestError: speeds beyond what the robot's wheels can do.
-        DataError: the plate is out of sight.
+        DataError: the plate is seen in no scan.
     """
     times = np.cumsum([0.0, STAND, *np.asarray(durations, dtype=float), SETTLE + STAND])
     rest = np.zeros((1, 2))
@@ -79,7 +86,7 @@ def watch(rims: ArrayLike, durations: ArrayLike, terrain: Terrain, seed: int) ->
     place = se2.compose([AHEAD, 0.0, 0.5 * np.pi], se2.invert(middle))
     poses = se2.compose(place, motion.pose_at(np.arange(0.0, times[-1], 1.0 / SCANNER.rate)))
     scans = simulate_scans(SCANNER, [(poses, PLATE.width)], seed=seed)
-    return Watched(wheels, track_plate(scans, PLATE, wheels, rate=SCANNER.rate), motion)
+    return Watched(wheels, track_plate(scans, PLATE, wheels, rate=SCANNER.rate).series(), motion)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +129,7 @@ def _scale(terrain: Terrain, seed: int) -> float:
     speed, duration = STRAIGHT
     seen = watch([[speed, speed]], [duration], terrain, seed)
     standing = [seen.between(0.0, STAND), seen.between(seen.wheels.t[-1] - STAND, seen.wheels.t[-1])]
-    start, end = (track.pose[:, :2].mean(axis=0) for track in standing)
+    start, end = (poses.values[:, :2].mean(axis=0) for poses in standing)
     return float(np.hypot(*(end - start)) / seen.rolled(seen.wheels.t[-1:]).mean())
 
 
@@ -134,7 +141,7 @@ def _chi(row: FloatArray, scale: float, terrain: Terrain, seed: int) -> float:
     seen = watch([[left, right]], [duration], terrain, seed)
     steady = seen.between(STAND + SETTLE, STAND + duration)
     rolled = scale * seen.rolled(steady.t)
-    turn = np.polynomial.Polynomial.fit(rolled[:, 1] - rolled[:, 0], steady.pose[:, 2], 1)
+    turn = np.polynomial.Polynomial.fit(rolled[:, 1] - rolled[:, 0], steady.values[:, 2], 1)
     ends = turn(np.array(turn.domain))
     return float(chi_of_run(0.0, turn.domain[1] - turn.domain[0], ends[1] - ends[0], VEHICLE.track_width))
 
@@ -168,15 +175,15 @@ def reckonings(found: Runs, terrain: Terrain = TILES, seed: int = 48) -> Reckoni
         "P3-AT": SymmetricIcr(FACTORY_Y, found.scale),
         "proposed": found.fit().model(VEHICLE, found.scale),
     }
-    track = seen.between(STAND, STAND + len(EXAMPLE) + SETTLE)
-    start = seen.between(0.0, STAND).pose.mean(axis=0)
+    poses = seen.between(STAND, STAND + len(EXAMPLE) + SETTLE)
+    start = seen.between(0.0, STAND).values.mean(axis=0)
     sideways = np.interp(seen.wheels.t[:-1], seen.motion.t, seen.motion.twist[:, 1])
     at = {}
     for label, v_y in (("", np.zeros_like(sideways)), (", slide known", sideways)):
         for name, model in models.items():
             line = _reckoned(model, seen.wheels, v_y, start)
-            at[name + label] = np.column_stack([np.interp(track.t, seen.wheels.t, x) for x in line.T])
-    return Reckonings(track.t - STAND, track.pose, at, float(sideways @ np.diff(seen.wheels.t)))
+            at[name + label] = np.column_stack([np.interp(poses.t, seen.wheels.t, x) for x in line.T])
+    return Reckonings(poses.t - STAND, poses.values, at, float(sideways @ np.diff(seen.wheels.t)))
 
 
 def _reckoned(model: Model, wheels: Series, v_y: FloatArray, start: FloatArray) -> FloatArray:
