@@ -23,7 +23,7 @@ from skidsteer.control import (
 )
 from skidsteer.errors import DataError
 from skidsteer.models import Icr
-from skidsteer.paths import clothoid, lemniscate, line
+from skidsteer.paths import arc, clothoid, lemniscate, line
 from skidsteer.se2 import compose
 
 CURVE = clothoid(6.0, -0.5, 0.6, (1.0, -2.0, 0.7))
@@ -130,6 +130,14 @@ def test_no_sample_of_a_wild_drive_exceeds_the_wheels(controller: Controller) ->
         assert np.isfinite(rims).all()
         assert np.abs(rims).max() <= 0.8
     assert np.abs(run.rims).max() > 0.4
+
+
+@ANY
+def test_a_path_sharper_than_the_icr_allows_gets_a_command(controller: Controller) -> None:
+    """icr_x c = 1.4: no heading keeps the origin on it."""
+    tight = arc(0.2, 3.0)
+    command = controller.command(tight.at(0.1), STILL, PathState(tight, 0.1))
+    assert np.isfinite(command).all()
 
 
 def test_the_error_is_that_of_the_path() -> None:

@@ -136,6 +136,10 @@ def test_beyond_its_domain_it_stands_and_turns_back(turned: float) -> None:
     v, omega = law.command(compose(CURVE.at(3.0), (0.0, 0.0, turned)), STILL, PathState(CURVE, 3.0))
     assert v == 0.0
     assert -np.sign(turned) * omega == pytest.approx(0.5)
+    _, free = Huskic(LAUNCH, SPEED, 0.28).command(
+        compose(CURVE.at(3.0), (0.0, 0.0, turned)), STILL, PathState(CURVE, 3.0)
+    )
+    assert abs(free) < 2.0 * 40.0 * turned**2 / math.cos(math.radians(75.0))  # large, but no pole at 90 deg
 
 
 def test_the_command_has_no_step_where_it_begins_to_stand() -> None:
@@ -166,6 +170,11 @@ def test_the_speed_is_equation_17() -> None:
     for omega, expected in ((0.3, 0.93 * 0.48 * 3.0 / 0.9), (-0.3, 0.9 * 0.42 * 3.0 / 0.9)):
         v, _ = law.command(compose(CURVE.at(5.0), (0.0, 1.0, -0.6)), [1.0, 0.0, omega], state)
         assert v == pytest.approx(expected)
+    # epsilon is one of Eq. (8) as printed: 0.5 |sin e| / lambda = 0.32 at e = 0.7, not yet half of 1.2
+    wide = replace(law, speed=SaturationSpeed(WHEELS, epsilon=1.2))
+    assert wide.command(compose(CURVE.at(5.0), (0.0, 0.0, 0.7)), STILL, state)[0] == pytest.approx(
+        WHEELS.reachable(c / math.cos(heading))
+    )
 
 
 @pytest.mark.parametrize("gains", ["header", "launch"])

@@ -112,6 +112,16 @@ def test_near_the_centre_of_curvature_the_command_stays_finite(y_e: float) -> No
     assert abs(omega) < 60.0
 
 
+def test_where_the_feed_forward_has_no_solution_it_is_held() -> None:
+    """omega = turn (v cos(theta_e) + icr_x omega sin(theta_e)) + back has none at turn icr_x sin(theta_e) = 1."""
+    law, tight = Pentzer(FREE, 1.0, 0.28, feed_forward=True), arc(1.0, 6.0)
+    _, omega = law.command(compose(tight.at(3.0), (0.0, 1.0, 1.2)), STILL, PathState(tight, 3.0))
+    heading = math.asin(0.28)
+    e, aside = 1.2 - heading, 1.0 + 0.28 * (math.sin(1.2) - 0.28)
+    back = -5.0 * aside * math.sin(e) / e - 5.0 * e
+    assert omega == pytest.approx((math.cos(1.2) / 0.2 + back) / 0.25)
+
+
 def test_gains_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="need k2 > 0"):
         PentzerGains(1.0, -1.0)

@@ -30,6 +30,14 @@ def test_the_law_by_hand() -> None:
     assert omega == pytest.approx(0.248037, abs=1e-6)
 
 
+def test_the_law_waits_with_its_target() -> None:
+    """Far behind it the target stands, s' = 0: then omega = delta' - gamma ... - k2 e."""
+    v, omega = LAW.command(compose(CURVE.at(3.0), (-1.0, -0.2, 0.3)), STILL, PathState(CURVE, 3.0))
+    delta, by_y = 0.6 * math.tanh(0.2), -0.6 * (1.0 - math.tanh(0.2) ** 2)
+    chord = (math.sin(0.3) - math.sin(delta)) / (0.3 - delta)
+    assert omega == pytest.approx(by_y * v * math.sin(0.3) + 4.0 * 0.2 * v * chord - 3.0 * (0.3 - delta), abs=1e-12)
+
+
 def test_at_no_deviation_the_quotient_is_a_cosine() -> None:
     """(sin(theta_e) - sin(delta)) / (theta_e - delta) is 0 / 0 there."""
     state, y_e = PathState(CURVE, 3.0), -0.2

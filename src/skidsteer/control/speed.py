@@ -17,7 +17,7 @@ from skidsteer.models import MatrixModel, Model
 from skidsteer.se2 import FloatArray
 
 STEPS = 50  # of the scale that brings a nonlinear model within the limit
-CLOSE = 1e-7  # of the limit, by which it may be missed below
+CLOSE = 1e-4  # of the limit, below which a nonlinear model may stay: each step costs an inverse
 BLEND = 0.1  # [rad/s] of yaw rate to either side of 0, over which the sides take turns in Eq. (17)
 PROBE = 1e-3  # [1/m] curvature at which the ICR of a nearly straight drive is told
 
@@ -78,16 +78,16 @@ class Wheels:
         if isinstance(self.model, MatrixModel):
             rims = rims * (self.max_speed / fastest)
         else:
-            scale = self._scale(v, omega)
+            scale = self._scale(v, omega, self.max_speed / fastest)
             rims = self.model.wheel_speeds(scale * v, scale * omega)
         return np.clip(rims, -self.max_speed, self.max_speed)  # what rounding left
 
-    def _scale(self, v: float, omega: float) -> float:
+    def _scale(self, v: float, omega: float, guess: float) -> float:
         """Greatest scale in [0, 1] of a command that the wheels can do; what a model cannot tell counts as too fast.
 
         Rim speeds are nearly in proportion to the command; where that leads astray the bracket is halved.
         """
-        low, high, scale = 0.0, 1.0, 0.5
+        low, high, scale = 0.0, 1.0, guess if guess > 0.0 else 0.5
         for _ in range(STEPS):
             fastest = float(np.abs(self.model.wheel_speeds(scale * v, scale * omega)).max())
             low, high = (scale, high) if fastest <= self.max_speed else (low, scale)
