@@ -156,7 +156,10 @@ def steady_heading(icr_x: float, error: PathError) -> tuple[float, float]:
 
 
 def turn_within(v: float, omega: float, omega_max: float) -> tuple[float, float]:
-    """A command slowed so that abs(omega) <= omega_max [rad/s]; its curvature is kept."""
+    """A command slowed so that abs(omega) <= omega_max [rad/s]; its curvature is kept.
+
+    The authors of Huskić 2017 clamp omega alone, and so leave every curve of more than omega_max / v.
+    """
     scale = min(1.0, omega_max / abs(omega)) if omega else 1.0
     return scale * v, scale * omega
 
