@@ -107,7 +107,8 @@ def main() -> None:
     parser.add_argument("--drives", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "terrains.md")
     words = parser.parse_args()
-    lines = ["# Do two grounds need two models?", "", "Written by `make studies` (`benchmarks/terrain.py`); nothing here is edited by hand.", "", "## Simulation", ""]
+    made = "Written by `make studies` (`benchmarks/terrain.py`); nothing here is edited by hand."
+    lines = ["# Do two grounds need two models?", "", made, "", "## Simulation", ""]
     lines += simulation()
     print("\n".join(lines), flush=True)
     if words.drives.is_dir():
