@@ -18,7 +18,7 @@ ORDER = """
     simulate terramechanics mujoco_plant samples p3at laser
     io doctor identify evaluation
     odometry control plants plan export report reproduce
-    documents console cli
+    documents console sources cli
 """
 ROOMS = ORDER.split()
 OPTIONAL = {"rosbags", "mcap", "matplotlib", "plotly", "pandas", "mujoco", "psutil"}  # inside functions only
