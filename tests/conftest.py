@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from skidsteer import cli
+
 DATA = Path(os.environ.get("SKIDSTEER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 POSE_DRIVES = (
     "warthog-asphalt",
@@ -23,6 +25,7 @@ POSE_DRIVES = (
 )
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
+Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="session")
@@ -46,3 +49,20 @@ def run() -> Run:
         return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, **options)  # type: ignore[call-overload,no-any-return]
 
     return call
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """Run the command line in this process; its exit code, standard output and error."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["skidsteer", *map(str, words)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run

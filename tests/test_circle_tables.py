@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skidsteer import cli
+from conftest import Call
 from skidsteer.calibration import DriveRecord
 from skidsteer.errors import RequestError
 from skidsteer.identify.circle_calibration import calibrate_circles, calibrate_circles_in, circle_runs_in
@@ -23,24 +23,6 @@ from skidsteer.vehicle import preset
 
 P3AT, ROVER = preset("pioneer-p3at"), preset("rover-4wd1")
 RECORD = (DriveRecord("runs", "here", "", 0.0, 3, 0),)
-Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line in this process; its exit code, standard output and error."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["skidsteer", *map(str, words)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 @pytest.fixture

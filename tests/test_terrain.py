@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import binom
 from scipy.stats import t as student
 
-from skidsteer import cli
+from conftest import Call
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
@@ -255,25 +254,6 @@ def test_profiles_are_kept_in_the_file(profiled: Calibration, tmp_path: Path) ->
 
 
 # The commands
-
-Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line in this process; its exit code, standard output and error."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["skidsteer", *map(str, words)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        out, err = capsys.readouterr()
-        return code, out, err.strip()
-
-    return run
 
 
 @pytest.fixture(scope="module")
