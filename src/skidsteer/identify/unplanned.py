@@ -25,9 +25,8 @@ def unplanned_drive(width: float, limits: Limits, room: tuple[float, float], tim
     for 40 %, turning on the spot for 5 %, and with a random yaw rate otherwise. Where the robot would leave the room it
     is slowed down and turned towards the middle.
 
-    These figures are those of recorded drives of people (the continuous ones of DRIVE and BorealTC and a laboratory's,
-    robots that can do 1 and 5 m/s): in the median they rest for a quarter of the time, drive at 0.21 m/s averaged over
-    everything and turn by 0.04 rad/s. This driver does 0.22 m/s and turns three times as much.
+    These figures are chosen after recorded drives of people (the continuous ones of DRIVE and BorealTC and a
+    laboratory's), beside which docs/design.md shows this driver: about as often at rest and as fast, turning more.
 
     Args:
         width: [m] distance of the tread ICRs, which the driver sees the robot turn with.

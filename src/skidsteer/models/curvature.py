@@ -10,8 +10,7 @@ written as a ratio that needs no lambda and stays finite on a straight,
     chi = 1 + a p / (p + b q),   p = sqrt|v_r - v_l|,   q = sqrt|v_l + v_r|
 
 As printed, omega has a cusp at each turn on the spot (its slope by v_l + v_r is infinite there) and no slope at rest.
-Speeds below ``CREEP`` are therefore rounded off. Above 0.1 m/s p and q are those above to 0.15 %; in the 40 runs of
-Wang's protocol chi changes by 0.0014 at most, where his runs scatter by 0.003 to 0.008.
+Speeds below ``CREEP`` are therefore rounded off. Above 0.1 m/s p and q are those above to 0.15 %.
 """
 
 from __future__ import annotations
