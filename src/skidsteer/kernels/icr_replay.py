@@ -19,15 +19,11 @@ from skidsteer.kernels.icr_filter import (
     UNUSED_FLAG,
     Scratch,
     Setup,
-    backward,
-    cholesky,
-    forward,
     predict,
     scratch,
     unpacked,
-    update_reference,
-    update_yaw_rate,
 )
+from skidsteer.kernels.icr_update import backward, cholesky, forward, update_reference, update_yaw_rate
 from skidsteer.se2 import FloatArray
 
 STANDSTILL, POSITION, POSE = 0, 2, 3  # kinds of measurement, by how many numbers they tell

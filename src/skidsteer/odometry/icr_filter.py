@@ -31,6 +31,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.errors import DataError, RequestError
 from skidsteer.kernels import icr_filter as kernel
 from skidsteer.kernels.icr_filter import Setup
+from skidsteer.kernels.icr_update import take_reference, take_yaw_rate
 from skidsteer.kernels.twists import KINDS
 from skidsteer.models import Model
 from skidsteer.noise import Noise
@@ -206,7 +207,7 @@ class IcrFilter:
         if not (np.isfinite(seen).all() and 0.0 <= measurement.stamp < math.inf):
             raise DataError(f"the measurement at {measurement.time:.3f} s is NaN or infinite; leave it out")
         mount = np.array([measurement.mount.x, measurement.mount.y, measurement.mount.yaw])
-        squared, flag = kernel.take_reference(mean, P, memory, self.setup, seen, R, measurement.stamp, mount)
+        squared, flag = take_reference(mean, P, memory, self.setup, seen, R, measurement.stamp, mount)
         return squared, dof, flag
 
     def _measure_rate(
@@ -227,7 +228,7 @@ class IcrFilter:
                 " let a Timeline divide it"
             )
         told = (mean, P, memory, self.setup, measurement.rate, measurement.variance)
-        innovation, S, flag = kernel.take_yaw_rate(*told)
+        innovation, S, flag = take_yaw_rate(*told)
         return innovation**2 / S, 1, flag
 
 
