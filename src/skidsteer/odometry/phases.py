@@ -13,7 +13,7 @@ from skidsteer.models import Differential
 from skidsteer.odometry.in_field import calibrate_in_field, tune
 from skidsteer.odometry.kinematic_ekf import thalmann_filter
 from skidsteer.odometry.reckoning import reckon
-from skidsteer.odometry.run import Distance, Odometry, OdometryOptions
+from skidsteer.odometry.run import Odometry, OdometryOptions, distance
 from skidsteer.odometry.state_choice import SystemNoise
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
 from skidsteer.odometry.track import Track
@@ -64,7 +64,7 @@ def run_phases(
     whole = replay(filter, found.replay.state(filter, 0), wheels, tracking, lost=(since, np.inf))
     nominal = _reckoned(Differential(width), wheels, whole, tracking, since)
     lost = whole.seen_t >= since
-    distances = [_distance(path[lost], whole.seen[lost]) if lost.any() else None for path in (whole.expected, nominal)]
+    distances = [distance(path[lost], whole.seen[lost]) if lost.any() else None for path in (whole.expected, nominal)]
     return Odometry(filter, _track(whole, filter.names), since, *distances)
 
 
@@ -78,11 +78,6 @@ def _reckoned(model: Differential, wheels: Series, whole: Replay, tracking: Trac
     c, s = np.cos(yaw), np.sin(yaw)
     ahead, aside = tracking.lever
     return np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], axis=1)
-
-
-def _distance(path: FloatArray, seen: FloatArray) -> Distance:
-    away = np.hypot(*(path - seen).T)
-    return Distance(float(np.sqrt(np.mean(away**2))), float(away.max()))
 
 
 def _track(whole: Replay, names: tuple[str, ...]) -> Track:

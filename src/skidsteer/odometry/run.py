@@ -121,9 +121,14 @@ def _distances(whole: Log, tracks: tuple[Track, ...], since: float, ignored: boo
         path = compose(body, np.array([whole.mount.x, whole.mount.y, whole.mount.yaw]))
         if ignored:
             path = _laid(path, seen.values)
-        away = np.hypot(*(path[:, :2] - seen.values[:, :2]).T)
-        out.append(Distance(float(np.sqrt(np.mean(away**2))), float(away.max())))
+        out.append(distance(path[:, :2], seen.values[:, :2]))
     return tuple(out)
+
+
+def distance(path: FloatArray, seen: FloatArray) -> Distance:
+    """How far positions (m, 2) [m] of a path, at least one, are from those of the reference (m, 2)."""
+    away = np.hypot(*(path - seen).T)
+    return Distance(float(np.sqrt(np.mean(away**2))), float(away.max()))
 
 
 def _laid(path: FloatArray, seen: FloatArray) -> FloatArray:
