@@ -52,8 +52,9 @@ def roll(ns: IntArray, counts: FloatArray, largest_rate: float) -> Rolled:
     wraps = resets = 0
     for column in range(counts.shape[1]):
         unwrapped = _unwrap(counts[:, column], steps[:, column])
-        wraps += int((unwrapped != steps[:, column]).sum())
-        bad = _impossible(dt, counts[:, column], unwrapped, largest_rate)
+        wrapped = unwrapped != steps[:, column]
+        wraps += int(wrapped.sum())
+        bad = _impossible(dt, counts[:, column], unwrapped, wrapped, largest_rate)
         resets += int(bad.sum())
         steps[:, column] = _bridged(dt, unwrapped, bad)
     return Rolled(steps, wraps, resets)
@@ -70,7 +71,10 @@ def _unwrap(counts: FloatArray, steps: FloatArray) -> FloatArray:
     return steps
 
 
-def _impossible(dt: FloatArray, counts: FloatArray, steps: FloatArray, rate: float) -> np.typing.NDArray[np.bool_]:
+def _impossible(
+    dt: FloatArray, counts: FloatArray, steps: FloatArray, wrapped: np.typing.NDArray[np.bool_], rate: float
+) -> np.typing.NDArray[np.bool_]:
+    """Steps (n - 1,) that are too fast, or land at zero from far away without having wrapped on the way."""
     if not len(steps):
         return np.zeros(0, dtype=bool)
     # Messages that arrive in a bunch are not faster wheels: no step is judged by less than the usual time.
@@ -79,7 +83,7 @@ def _impossible(dt: FloatArray, counts: FloatArray, steps: FloatArray, rate: flo
     around = np.maximum(np.append(0.0, size[:-1]), np.append(size[1:], 0.0))
     usual = _NEAR_ZERO * np.maximum(around, 1e-3 * rate * np.median(dt))
     restarts = (np.abs(counts[1:]) <= usual) & (size > np.maximum(usual, 0.05 * rate * np.median(dt)))
-    return np.asarray(too_fast | restarts)
+    return np.asarray(too_fast | (restarts & ~wrapped))
 
 
 def _bridged(dt: FloatArray, steps: FloatArray, bad: np.typing.NDArray[np.bool_]) -> FloatArray:
