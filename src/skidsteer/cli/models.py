@@ -1,0 +1,162 @@
+"""Commands from drives to a model: calibrate, and what tells how good it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from skidsteer.cli.words import DRIVE_HELP, Drives, Json, Lag, Offset, Profile, Window, app, folder, positive
+from skidsteer.sources import Source, on_drives
+
+if TYPE_CHECKING:
+    from skidsteer.calibration import Calibration
+
+
+@app.command()
+@on_drives
+def calibrate(
+    source: Source,
+    drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE...", help=DRIVE_HELP)] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml there")] = None,
+    model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
+    method: Annotated[str, typer.Option(help="least-squares, genetic (Mandow 2007) or circle-test")] = "least-squares",
+    window: Window = 2.0,
+    time_offset: Offset = None,
+    lag: Lag = None,
+    mount: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]|free", help="of the reference [m, rad]")] = None,
+    seed: Annotated[int, typer.Option(help="of the genetic search")] = 0,
+    fix: Annotated[bool, typer.Option("--fix", help="apply the doctor's safe cures first")] = False,
+    profile: Annotated[
+        list[str] | None, typer.Option(metavar="GROUND=DRIVE", help="a profile for each ground, in place of DRIVE...")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Calibrate a motion model from drives of one robot."""
+    from skidsteer import console, documents
+    from skidsteer.identify.calibrate import calibrate as calibrate_drives
+    from skidsteer.identify.calibrate import make_options
+    from skidsteer.identify.terrain import calibrate_profiles
+
+    if bool(drives) == bool(profile):
+        raise typer.BadParameter("give drives, or --profile GROUND=DRIVE for each of them")
+    if drives and (circles := source.circles(drives, model, method)) is not None:
+        _write(circles.calibration, out)
+        if json:
+            typer.echo(documents.to_json(documents.circles_document(circles)))
+        else:
+            console.show_circles(circles)
+        return
+    options = make_options(model, method, window, seed, time_offset, lag, mount, fix)
+    with console.progress_bar() as report:
+        if profile:
+            calibration = calibrate_profiles(source.grounds(profile), options, report)
+        else:
+            calibration = calibrate_drives(source.load(drives or []), options=options, progress=report)
+    _write(calibration, out)
+    if json:
+        typer.echo(documents.to_json(documents.calibration_document(calibration)))
+    else:
+        console.show_calibration(calibration)
+
+
+@app.command()
+@on_drives
+def evaluate(
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
+    drives: Drives,
+    source: Source,
+    window: Window = 2.0,
+    fit_delay: Annotated[bool, typer.Option("--fit-delay", help="find the time offset of each drive first")] = False,
+    profile: Profile = None,
+    json: Json = False,
+) -> None:
+    """Errors of a calibration on drives; fits nothing, but the delay if asked."""
+    from skidsteer import console, documents
+    from skidsteer.evaluation import evaluate as evaluate_drives
+    from skidsteer.io.calibration_file import load_calibration
+
+    known = load_calibration(calibration).profile(profile)
+    loaded = source.load(drives, otherwise=known.vehicle)
+    result = evaluate_drives(known, loaded, positive(window, "--window"), fit_delay)
+    if json:
+        typer.echo(documents.to_json(documents.evaluation_document(result, window)))
+    else:
+        console.show_evaluation(result)
+
+
+@app.command()
+@on_drives
+def terrains(
+    drives: Annotated[list[str], typer.Argument(metavar="GROUND=DRIVE...", help="drives and the ground of each")],
+    source: Source,
+    model: Annotated[str, typer.Option(metavar="NAME", help="model whose parameters are compared")] = "icr",
+    window: Window = 2.0,
+    json: Json = False,
+) -> None:
+    """Whether the model of one ground differs from that of another, and whether it matters."""
+    from skidsteer import console, documents
+    from skidsteer.identify.calibrate import make_options
+    from skidsteer.identify.terrain import compare_terrains
+
+    found = compare_terrains(source.grounds(drives), model, make_options(model, window=window))
+    if json:
+        typer.echo(documents.to_json(documents.terrains_document(found)))
+    else:
+        console.show_terrains(found)
+
+
+@app.command()
+@on_drives
+def compare(drives: Drives, source: Source, window: Window = 2.0, json: Json = False) -> None:
+    """Every model, held out, side by side."""
+    from skidsteer import console, documents
+    from skidsteer.identify.calibrate import compare_models
+
+    with console.progress_bar() as report:
+        held_out, selection = compare_models(source.load(drives), positive(window, "--window"), report)
+    if json:
+        typer.echo(documents.to_json(documents.comparison_document(held_out, selection)))
+    else:
+        console.show_comparison(held_out, selection)
+
+
+@app.command()
+@on_drives
+def check(
+    drive: Annotated[list[str], typer.Argument(metavar="DRIVE", help=DRIVE_HELP)],
+    source: Source,
+    fix: Annotated[bool, typer.Option("--fix", help="apply the safe cures, and write the drive to --out")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write the cured drive to")] = None,
+    json: Json = False,
+) -> None:
+    """What is wrong with a log, where, how sure that is, what it does, and the cure."""
+    from skidsteer import console, documents
+    from skidsteer.doctor import examine
+    from skidsteer.doctor import fix as cure
+    from skidsteer.errors import RequestError
+    from skidsteer.identify.calibrate import judge_drive
+    from skidsteer.io.folder import write_folder
+
+    if fix != (out is not None):
+        raise RequestError("--fix and --out DIR belong together")
+    topics = source.topics(drive)
+    loaded = source.load_one(drive)
+    findings = examine(loaded)
+    verdict = judge_drive(loaded, findings)
+    cures: tuple[str, ...] = ()
+    if out is not None:
+        cured, cures = cure(loaded, findings)
+        write_folder(cured, out)
+    if json:
+        typer.echo(documents.to_json(documents.check_document(loaded, findings, topics, cures, verdict)))
+    else:
+        console.show_check(loaded, findings, topics, cures, verdict)
+
+
+def _write(calibration: Calibration, out: Path | None) -> None:
+    from skidsteer.io.calibration_file import save_calibration
+
+    if out is not None:
+        save_calibration(calibration, folder(out) / "calibration.yaml")
