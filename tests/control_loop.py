@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skidsteer.control import Controller, PathState, Wheels
+from skidsteer.control import Controller, Wheels
+from skidsteer.control.path_state import State
 from skidsteer.models import Icr
 from skidsteer.paths import Path
 from skidsteer.se2 import FloatArray, compose, exp
@@ -23,18 +24,19 @@ class Run(NamedTuple):
 
 
 def follow(
-    controller: Controller, wheels: Wheels, path: Path, start: ArrayLike, duration: float, dt: float = 0.02
+    controller: Controller[State], wheels: Wheels, path: Path, start: ArrayLike, duration: float, dt: float = 0.02
 ) -> Run:
     """Poses at the beginning of each step, and the rim speeds held during it."""
     pose, twist = np.asarray(start, dtype=float), np.zeros(3)
-    state = PathState.begin(path, pose)
+    state = controller.begin(path, pose)
     near, rows = state.s, []
     for _ in range(round(duration / dt)):
         rims = wheels.speeds(*controller.command(pose, twist, state))
         near = path.project(pose[:2], near=near)
         rows.append((pose, rims, state.s, path.error(pose, near)[1]))
         twist = wheels.model.twist(rims[0], rims[1])
+        v, _, omega = twist.tolist()
         rows[-1] = (*rows[-1], twist)
         pose = compose(pose, exp(twist * dt))
-        state = controller.advance(state, pose, twist, dt)
+        state = controller.advance(state, pose, twist, dt, (v, omega))
     return Run(*(np.array(column) for column in zip(*rows, strict=True)))

@@ -28,12 +28,12 @@ from skidsteer.se2 import compose
 
 CURVE = clothoid(6.0, -0.5, 0.6, (1.0, -2.0, 0.7))
 WHEELS = Wheels(PLANT, 1.2)
-STILL = np.zeros(3)
+STILL, ASKED = np.zeros(3), (0.9, 0.3)
 # the same robot, its rear taken for its front
 TURNED = Icr(-PLANT.icr_y_right, -PLANT.icr_y_left, -PLANT.icr_x, PLANT.alpha_right, PLANT.alpha_left)
 
 
-def controllers(wheels: Wheels, icr_x: float) -> dict[str, Controller]:
+def controllers(wheels: Wheels, icr_x: float) -> dict[str, Controller[PathState]]:
     speed = SaturationSpeed(wheels)
     return {
         "huskic": Huskic(huskic.GAINS["launch"], speed, icr_x),
@@ -52,32 +52,32 @@ ANY = pytest.mark.parametrize("controller", ALL.values(), ids=ALL)
 
 @ANY
 @pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), (0.0, 0.0)])
-def test_what_is_not_known_is_refused(controller: Controller, bad: tuple[float, ...]) -> None:
+def test_what_is_not_known_is_refused(controller: Controller[PathState], bad: tuple[float, ...]) -> None:
     state, pose = PathState(CURVE, 3.0), CURVE.at(3.0)
     with pytest.raises(DataError, match=r"the pose is .* three finite numbers; stop until it is known again"):
         controller.command(bad, STILL, state)
     with pytest.raises(DataError, match=r"the twist is .* three finite numbers"):
         controller.command(pose, bad, state)
     with pytest.raises(DataError, match="the pose is"):
-        controller.advance(state, bad, STILL, 0.02)
+        controller.advance(state, bad, STILL, 0.02, ASKED)
     with pytest.raises(DataError, match="the twist is"):
-        controller.advance(state, pose, bad, 0.02)
+        controller.advance(state, pose, bad, 0.02, ASKED)
     with pytest.raises(DataError, match="the pose is"):
-        PathState.begin(CURVE, bad)
+        controller.begin(CURVE, bad)
 
 
 @ANY
-def test_no_time_changes_nothing_and_time_does_not_go_back(controller: Controller) -> None:
+def test_no_time_changes_nothing_and_time_does_not_go_back(controller: Controller[PathState]) -> None:
     state, pose = PathState(CURVE, 3.0), compose(CURVE.at(3.0), (0.2, 0.1, 0.1))
-    assert controller.advance(state, pose, STILL, 0.0) is state
-    assert 3.0 < controller.advance(state, pose, STILL, 0.02).s < 3.3
+    assert controller.advance(state, pose, STILL, 0.0, ASKED) is state
+    assert 3.0 < controller.advance(state, pose, STILL, 0.02, ASKED).s < 3.3
     for dt in (-0.02, math.nan):
         with pytest.raises(DataError, match="the time step is"):
-            controller.advance(state, pose, STILL, dt)
+            controller.advance(state, pose, STILL, dt, ASKED)
 
 
 @ANY
-def test_driving_is_the_same_in_reverse(controller: Controller) -> None:
+def test_driving_is_the_same_in_reverse(controller: Controller[PathState]) -> None:
     """The same robot with its rear taken for its front drives the same curve ahead."""
     name = next(n for n, c in ALL.items() if c is controller)
     other = controllers(Wheels(TURNED, 1.2), -PLANT.icr_x)[name]
@@ -88,12 +88,12 @@ def test_driving_is_the_same_in_reverse(controller: Controller) -> None:
         ahead = other.command(pose, (v_x, 0.0, omega), PathState(CURVE, s))
         turned, back = pose + [0.0, 0.0, math.pi], PathState(CURVE.in_reverse(), s)
         assert controller.command(turned, (-v_x, 0.0, omega), back) == pytest.approx((-ahead[0], ahead[1]), abs=1e-9)
-        s_ahead = other.advance(PathState(CURVE, s), pose, (v_x, 0.0, omega), 0.02).s
-        assert controller.advance(back, turned, (-v_x, 0.0, omega), 0.02).s == pytest.approx(s_ahead, abs=1e-9)
+        s_ahead = other.advance(PathState(CURVE, s), pose, (v_x, 0.0, omega), 0.02, ASKED).s
+        assert controller.advance(back, turned, (-v_x, 0.0, omega), 0.02, ASKED).s == pytest.approx(s_ahead, abs=1e-9)
 
 
 @ANY
-def test_left_is_the_mirror_of_right(controller: Controller) -> None:
+def test_left_is_the_mirror_of_right(controller: Controller[PathState]) -> None:
     name = next(n for n, c in ALL.items() if c is controller)
     mirrored = Icr(-PLANT.icr_y_right, -PLANT.icr_y_left, PLANT.icr_x, PLANT.alpha_right, PLANT.alpha_left)
     other = controllers(Wheels(mirrored, 1.2), PLANT.icr_x)[name]
@@ -109,7 +109,9 @@ def test_left_is_the_mirror_of_right(controller: Controller) -> None:
 
 @ANY
 @pytest.mark.parametrize("reverse", [False, True])
-def test_it_drives_to_the_end_and_stops_within_the_wheels_limits(controller: Controller, reverse: bool) -> None:
+def test_it_drives_to_the_end_and_stops_within_the_wheels_limits(
+    controller: Controller[PathState], reverse: bool
+) -> None:
     path = clothoid(3.0, 0.0, 0.2)
     path = path.in_reverse() if reverse else path
     run = follow(controller, WHEELS, path, path.robot(0.0) + [0.0, 0.1, 0.1], 22.0)
@@ -121,7 +123,7 @@ def test_it_drives_to_the_end_and_stops_within_the_wheels_limits(controller: Con
 
 
 @ANY
-def test_no_sample_of_a_wild_drive_exceeds_the_wheels(controller: Controller) -> None:
+def test_no_sample_of_a_wild_drive_exceeds_the_wheels(controller: Controller[PathState]) -> None:
     """From 3 m off, facing back, with a leap of the pose by 0.886 m, along the lemniscate."""
     path, slow = lemniscate(6.0), Wheels(PLANT, 0.8)
     run = follow(controller, slow, path, (1.0, 3.0, 3.0), 6.0)
@@ -133,7 +135,7 @@ def test_no_sample_of_a_wild_drive_exceeds_the_wheels(controller: Controller) ->
 
 
 @ANY
-def test_a_path_sharper_than_the_icr_allows_gets_a_command(controller: Controller) -> None:
+def test_a_path_sharper_than_the_icr_allows_gets_a_command(controller: Controller[PathState]) -> None:
     """icr_x c = 1.4: no heading keeps the origin on it."""
     tight = arc(0.2, 3.0)
     command = controller.command(tight.at(0.1), STILL, PathState(tight, 0.1))

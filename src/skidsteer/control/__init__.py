@@ -1,13 +1,14 @@
 """Path following: controllers with one interface, and the wheel speeds they ask for."""
 
 from skidsteer.control.huskic import Huskic, HuskicGains
-from skidsteer.control.path_state import Controller, PathError, PathState, path_error
+from skidsteer.control.path_state import Command, Controller, PathError, PathState, path_error
 from skidsteer.control.pentzer import Pentzer, PentzerGains
 from skidsteer.control.pure_pursuit import PurePursuit
 from skidsteer.control.soetanto import Soetanto, SoetantoGains
 from skidsteer.control.speed import SaturationSpeed, Wheels, icr_x_at, path_curvature
 
 __all__ = [
+    "Command",
     "Controller",
     "Huskic",
     "HuskicGains",

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from skidsteer.control.path_state import (
+    Command,
     PathError,
     PathState,
     braked,
@@ -31,6 +32,7 @@ from skidsteer.control.path_state import (
 )
 from skidsteer.control.speed import SaturationSpeed
 from skidsteer.control.target import Approach, advanced, rate, turn_with_target
+from skidsteer.paths import Path
 
 STEADY = math.radians(45.0)  # |e| up to which it drives as fast as it may
 FACING = math.radians(75.0)  # |e| beyond which it stands and turns: Eq. (10) divides by cos(e)
@@ -72,7 +74,11 @@ class Huskic:
     def __post_init__(self) -> None:
         require_positive(self, "approach_length", "deceleration")
 
-    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> tuple[float, float]:
+    def begin(self, path: Path, pose: ArrayLike) -> PathState:
+        """See ``Controller``."""
+        return PathState.begin(path, pose)
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``. Beyond 75 deg of e it stands and turns towards the path; it slows down from 45 deg on."""
         error, (_, _, turning) = path_error(state, pose), finite("twist", twist)
         if state.arrived:
@@ -82,8 +88,8 @@ class Huskic:
         v, omega = turn_within(v, omega, self.gains.omega_max)
         return state.direction * v, omega
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
-        """See ``Controller``."""
+    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+        """See ``Controller``; what was commanded does not matter to this law."""
         return advanced(state, pose, twist, dt, self.icr_x, self.gains.k1)
 
     def lyapunov(self, pose: ArrayLike, state: PathState) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,10 +70,21 @@ class PathError(NamedTuple):
     slope: float  # [1/m^2] of the curvature by arc length
 
 
-class Controller(Protocol):
+Command = tuple[float, float]  # v [m/s], omega [rad/s]
+State = TypeVar("State", bound=PathState)  # of a controller: a PathState, or one with memory besides
+
+
+class Controller(Protocol[State]):
     """A controller: its options are its fields, where it is on the path is in the state. Every function is pure."""
 
-    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> tuple[float, float]:
+    def begin(self, path: Path, pose: ArrayLike) -> State:
+        """The state of a robot that stands at a pose (3,), before its first command.
+
+        Raises:
+            DataError: a pose that is not finite.
+        """
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: State) -> Command:
         """What to drive now.
 
         Args:
@@ -88,8 +99,15 @@ class Controller(Protocol):
             DataError: a pose or twist that is not finite: stop, and wait for the localization.
         """
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
-        """The state dt [s] later, with the robot at a pose (3,) with a twist (3,); a dt of 0 moves no target.
+    def advance(self, state: State, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> State:
+        """The state dt [s] later; a dt of 0 moves no target.
+
+        Args:
+            state: before the step.
+            pose: (3,) measured after it.
+            twist: (3,) measured after it.
+            dt: [s] that it took.
+            commanded: v [m/s], omega [rad/s] that were sent for it, after whatever slowed them within wheel limits.
 
         Raises:
             DataError: a pose, twist or dt that is not finite, or a dt below 0.

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from skidsteer.control.path_state import (
     CROWDED,
+    Command,
     PathError,
     PathState,
     braked,
@@ -28,6 +29,7 @@ from skidsteer.control.path_state import (
     turn_within,
     wrapped,
 )
+from skidsteer.paths import Path
 
 LOOP = 0.25  # least coefficient of omega for which the feed-forward is solved
 
@@ -60,7 +62,11 @@ class Pentzer:
     def __post_init__(self) -> None:
         require_positive(self, "desired", "deceleration")
 
-    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> tuple[float, float]:
+    def begin(self, path: Path, pose: ArrayLike) -> PathState:
+        """See ``Controller``."""
+        return PathState.begin(path, pose)
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``."""
         error = path_error(state, pose)
         finite("twist", twist)
@@ -70,8 +76,8 @@ class Pentzer:
         v, omega = turn_within(v, self._turn(error, v, state.direction * self.icr_x), self.gains.omega_max)
         return state.direction * v, omega
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
-        """See ``Controller``."""
+    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+        """See ``Controller``; what was commanded does not matter to this law."""
         finite("twist", twist)
         return state.projected(pose) if elapsed(dt) > 0.0 else state
 

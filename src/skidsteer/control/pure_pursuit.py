@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skidsteer.control.path_state import PathState, elapsed, finite, require_positive
+from skidsteer.control.path_state import Command, PathState, elapsed, finite, require_positive
+from skidsteer.paths import Path
 
 REACH = np.linspace(0.0, 2.0, 41)  # of the lookahead distance, along the path, where its end is looked for
 
@@ -53,7 +54,11 @@ class PurePursuit:
                 f" {self.max_lookahead_dist}"
             )
 
-    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> tuple[float, float]:
+    def begin(self, path: Path, pose: ArrayLike) -> PathState:
+        """See ``Controller``."""
+        return PathState.begin(path, pose)
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``; here ``state`` is at the nearest point of the path."""
         at, (v_x, _, turning) = finite("pose", pose), finite("twist", twist)
         if state.remaining <= self.xy_goal_tolerance:
@@ -69,8 +74,8 @@ class PurePursuit:
         speed = self._speed(regulating, state, at)
         return state.direction * speed, speed * curvature
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
-        """See ``Controller``."""
+    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+        """See ``Controller``; what was commanded does not matter to this law."""
         finite("twist", twist)
         return state.projected(pose) if elapsed(dt) > 0.0 else state
 

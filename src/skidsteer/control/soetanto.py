@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from skidsteer.control.path_state import (
+    Command,
     PathError,
     PathState,
     braked,
@@ -23,6 +24,7 @@ from skidsteer.control.path_state import (
     wrapped,
 )
 from skidsteer.control.target import Approach, advanced, rate, turn_with_target
+from skidsteer.paths import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,11 @@ class Soetanto:
     def __post_init__(self) -> None:
         require_positive(self, "desired", "omega_max", "approach_length", "deceleration")
 
-    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> tuple[float, float]:
+    def begin(self, path: Path, pose: ArrayLike) -> PathState:
+        """See ``Controller``."""
+        return PathState.begin(path, pose)
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``."""
         error = path_error(state, pose)
         finite("twist", twist)
@@ -71,8 +77,8 @@ class Soetanto:
         v, omega = turn_within(v, self._turn(error, v), self.omega_max)
         return state.direction * v, omega
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
-        """See ``Controller``."""
+    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+        """See ``Controller``; what was commanded does not matter to this law."""
         return advanced(state, pose, twist, dt, 0.0, self.gains.k1)
 
     def lyapunov(self, pose: ArrayLike, state: PathState) -> float:
