@@ -1,22 +1,9 @@
-import csv
-import io
-import json
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from conftest import Run
-from skidsteer.documents import reproduction_document
 from skidsteer.drive import Series
-from skidsteer.errors import RequestError
 from skidsteer.reproduce import repeated_samples, thalmann2016
-from skidsteer.reproduce.figure import Curve, Figure, draw, to_csv
-from skidsteer.reproduce.papers import PAPERS, write
-from skidsteer.reproduce.rows import Reproduction, Row
-from skidsteer.reproduce.rows import to_csv as to_rows
 from skidsteer.reproduce.thalmann_drives import COUNT, LABORATORY, counted, drive, with_repeats
 
 
@@ -92,73 +79,3 @@ def test_geometry_figures_follow_the_closed_form() -> None:
     assert_allclose(ten.y, 1e3 * (0.1 * ten.x) ** 2 / (2.0 * 5.0), rtol=1e-3, atol=1e-9)
     ten = next(c for c in over_radius.curves if c.label == "10 Hz")
     assert_allclose(ten.y, 1e3 * 0.05**2 / (2.0 * ten.x), rtol=1e-2)
-
-
-def picture() -> Figure:
-    x = np.array([1.0, 2.0])
-    return Figure(
-        "figure-0", "Title", "t [s]", "y, m", (Curve("a", x, 2.0 * x), Curve("b, c", x, x, x - 0.5, x + 0.25))
-    )
-
-
-def test_a_figure_as_rows() -> None:
-    rows = list(csv.reader(io.StringIO(to_csv(picture()))))
-    assert rows[0] == ["curve", "t [s]", "y, m", "low", "high"]
-    assert rows[1:] == [
-        ["a", "1", "2", "", ""],
-        ["a", "2", "4", "", ""],
-        ["b, c", "1", "1", "0.5", "1.25"],
-        ["b, c", "2", "2", "1.5", "2.25"],
-    ]
-
-
-def test_a_figure_drawn(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    draw(picture(), tmp_path / "a.png")
-    draw(picture(), tmp_path / "a.svg")
-    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-    text = (tmp_path / "a.svg").read_text()
-    assert "<svg" in text
-    draw(picture(), tmp_path / "a.svg")
-    assert (tmp_path / "a.svg").read_text() == text
-
-
-def test_drawing_without_matplotlib_names_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
-    with pytest.raises(RequestError, match=r"pip install 'skidsteer\[figures\]'"):
-        draw(picture(), tmp_path / "a.png")
-
-
-def test_a_table_as_rows() -> None:
-    text = to_rows((Row("a, b", 2.0, 2.5, "deviates", "why"), Row("c", float("nan"), 1.0, "reproduced")))
-    assert list(csv.reader(io.StringIO(text))) == [
-        ["what", "paper", "ours", "difference", "verdict", "reason"],
-        ["a, b", "2", "2.5", "0.5", "deviates", "why"],
-        ["c", "", "1", "", "reproduced", ""],
-    ]
-
-
-def test_the_command_prints_and_writes(run: Run, tmp_path: Path) -> None:
-    done = run("reproduce", "giannoccaro2015", "--json", "--out", tmp_path / "new")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
-    assert document["paper"] == "giannoccaro2015"
-    assert document["figures"] == []
-    row = document["rows"][0]
-    assert row["difference"] == pytest.approx(row["ours"] - row["paper"])
-    assert (tmp_path / "new" / "table.csv").read_text().startswith("what,paper,ours")
-    unknown = run("reproduce", "nobody2020")
-    assert unknown.returncode == 1
-    assert unknown.stderr.strip() == "skidsteer: no paper 'nobody2020'; there are: " + ", ".join(PAPERS)
-
-
-def test_figures_are_written_and_told(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    done = Reproduction((Row("a", 1.0, 1.0, "reproduced"),), (picture(),))
-    files = write(done, tmp_path)
-    assert (
-        {f.name for f in files} == {f.name for f in tmp_path.iterdir()} == {"table.csv", "figure-0.csv", "figure-0.svg"}
-    )
-    document = reproduction_document("p", done)
-    assert document["figures"][0]["curves"][1]["low"] == [0.5, 1.5]
-    assert "low" not in document["figures"][0]["curves"][0]

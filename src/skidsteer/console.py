@@ -23,7 +23,8 @@ from skidsteer.identify.circle_test import SideResult
 from skidsteer.identify.design import Design
 from skidsteer.identify.select import Excess, Selection
 from skidsteer.identify.terrain import Terrains
-from skidsteer.reproduce.rows import Reproduction
+from skidsteer.reproduce.rows import Reproduction, tally
+from skidsteer.reproduce.rows import Table as SideBySide
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
@@ -240,8 +241,9 @@ def show_odometry(result: Odometry) -> None:
 COLOURS = {"error": "red", "warning": "yellow", "info": "blue"}
 
 
-def show_reproduction(done: Reproduction) -> None:
-    """A line for each printed figure: the paper's, ours, their difference, the verdict and why."""
+def show_reproduction(name: str, done: Reproduction) -> None:
+    """A line for each printed figure, with its verdict; the reasons; tables side by side; what is not calculated."""
+    OUT.print(f"[bold]{name}[/bold]")
     table = Table("", "paper", "ours", "difference", "verdict", box=None, pad_edge=False)
     for row in done.rows:
         numbers = ("-" if np.isnan(v) else f"{v:.4g}" for v in (row.paper, row.ours, row.ours - row.paper))
@@ -250,9 +252,26 @@ def show_reproduction(done: Reproduction) -> None:
     for column in table.columns[1:4]:
         column.justify = "right"
     OUT.print(table)
-    for row in done.rows:
-        if row.reason:
-            OUT.print(f"{escape(row.what)}: {escape(row.reason)}.")
+    for reason, rows in itertools.groupby(done.rows, key=lambda row: row.reason):
+        if reason:
+            OUT.print(f"{escape('; '.join(row.what for row in rows))}: {escape(reason)}.")
+    for side in done.tables:
+        _show_side_by_side(side)
+    for note in done.notes:
+        OUT.print(f"Found on the way: {escape(note)}.")
+    for place in done.places:
+        if place.not_computed:
+            OUT.print(f"{place.name}, {escape(place.shows)}: {escape(place.not_computed)}.")
+    OUT.print("; ".join(f"{n} {verdict}" for verdict, n in tally(done.rows).items()))
+
+
+def _show_side_by_side(side: SideBySide) -> None:
+    table = Table(*map(escape, side.head), title=escape(side.title), title_justify="left", box=None, pad_edge=False)
+    for label, values in side.lines:
+        table.add_row(escape(label), *("-" if np.isnan(v) else f"{v:.4g}" for v in values))
+    OUT.print(table)
+    if side.note:
+        OUT.print(escape(side.note))
 
 
 def show_check(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from skidsteer.identify.design import Design
 from skidsteer.identify.select import Selection
 from skidsteer.identify.terrain import Terrains
 from skidsteer.reproduce.figure import Curve
-from skidsteer.reproduce.rows import Reproduction
+from skidsteer.reproduce.rows import Reproduction, tally
 
 if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
@@ -190,6 +190,17 @@ def reproduction_document(paper: str, done: Reproduction) -> Document:
     return {
         "paper": paper,
         "rows": [{**asdict(row), "difference": row.ours - row.paper} for row in done.rows],
+        "verdicts": tally(done.rows),
+        "places": [
+            {
+                **asdict(place),
+                "rows": [row.what for row in done.rows_of(place)],
+                "figures": [figure.name for figure in done.figures_of(place)],
+            }
+            for place in done.places
+        ],
+        "tables": [asdict(table) for table in done.tables],
+        "notes": list(done.notes),
         "figures": [
             {
                 "name": figure.name,
@@ -201,6 +212,11 @@ def reproduction_document(paper: str, done: Reproduction) -> Document:
             for figure in done.figures
         ],
     }
+
+
+def reproductions_document(done: Mapping[str, Reproduction]) -> Document:
+    """What ``reproduce all --json`` prints."""
+    return {"papers": {name: reproduction_document(name, reproduction) for name, reproduction in done.items()}}
 
 
 def _curve(curve: Curve) -> Document:

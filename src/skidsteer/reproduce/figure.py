@@ -1,9 +1,7 @@
-"""A figure as data: curves that become rows of a CSV file, and a drawing where matplotlib is there."""
+"""A figure as data, and as a drawing where matplotlib is there."""
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,20 +29,6 @@ class Figure:
     x_label: str  # with the unit
     y_label: str
     curves: tuple[Curve, ...]
-
-
-def to_csv(figure: Figure) -> str:
-    """Rows of curve, x, y, low, high; the last two are empty where there are no bars."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["curve", figure.x_label, figure.y_label, "low", "high"])
-    for curve in figure.curves:
-        low, high = (
-            ["" for _ in curve.x] if end is None else [f"{v:.6g}" for v in end] for end in (curve.low, curve.high)
-        )
-        for x, y, a, b in zip(curve.x, curve.y, low, high, strict=True):
-            writer.writerow([curve.label, f"{x:.6g}", f"{y:.6g}", a, b])
-    return text.getvalue()
 
 
 def draw(figure: Figure, path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from skidsteer.identify.circle_test import runs_on, side_result
 from skidsteer.models.slip_ratio import CircleRun, Side
-from skidsteer.reproduce.rows import Row, compared
+from skidsteer.reproduce.rows import Reproduction, Row, compared
 from skidsteer.samples import ROVER_DRAGS, rover_runs
 from skidsteer.vehicle import preset
 
@@ -28,6 +28,11 @@ TABLE_1 = {20: 191.0, 40: 410.0, 60: 632.0, 80: 957.0, 100: 1059.0, 120: 1249.0}
 TOLERANCE = 0.05  # of K_s
 
 
+def reproduction() -> Reproduction:
+    """Everything that can be calculated."""
+    return Reproduction(rows())
+
+
 def rows() -> tuple[Row, ...]:
     """Every figure of the paper that can be checked by calculation."""
     return (*table_1_rows(), *table_3_rows(), *table_4_rows(), *table_5_rows(), _speed_row())
@@ -38,7 +43,7 @@ def table_1_rows() -> tuple[Row, ...]:
     k = [k for k in TABLE_1 if k != 80]
     ours = float(np.polyval(np.polyfit(k, [TABLE_1[i] for i in k], 1), 80))
     reason = "Fig. 5 is called perfectly linear; the other five points are so to 12 mm/s. Table 5 is calculated with it"
-    return (Row("rim speed at k = 80 [mm/s], Table 1", TABLE_1[80], ours, "not reproducible", reason),)
+    return (Row("rim speed at k = 80 [mm/s], Table 1", TABLE_1[80], ours, "cannot be reproduced", reason),)
 
 
 def table_3_rows() -> tuple[Row, ...]:
@@ -53,7 +58,7 @@ def table_3_rows() -> tuple[Row, ...]:
             " no constant x_ICR describes these runs"
         )
         place = f"{surface}, {side} turns, Table 3"
-        found.append(Row(f"x_ICR [m] of Table 2 {place}", x_icr, every, "not reproducible", reason))
+        found.append(Row(f"x_ICR [m] of Table 2 {place}", x_icr, every, "cannot be reproduced", reason))
         found.append(compared(f"chi {place}", chi, TRACK_WIDTH / (2.0 * x_icr), 0.001, "Eq. (11) of the printed x_ICR"))
     return tuple(found)
 
@@ -68,7 +73,7 @@ def table_4_rows() -> tuple[Row, ...]:
         " a dragged wheel's slip, here and in all rows (K_s above 1 needs i_i below i_o)"
     )
     printed = ROVER_DRAGS["outdoor"][3]
-    return (Row("slip of the inner side, 4L outdoors [%], Table 4", printed, ours, "misprint", reason),)
+    return (Row("slip of the inner side, 4L outdoors [%], Table 4", printed, ours, "corrected", reason),)
 
 
 def table_5_rows() -> tuple[Row, ...]:
@@ -84,11 +89,11 @@ def _ratio_row(run: CircleRun, printed: float) -> Row:
     what = f"K_s {run.surface} {run.name}, Table 5"
     ours = run.slip_ratio(TRACK_WIDTH) or 0.0
     if run.surface == "outdoor" and run.name in COPIED:
-        return Row(what, printed, ours, "misprint", f"repeats the value of {run.name[0]}R")
+        return Row(what, printed, ours, "corrected", f"repeats the value of {run.name[0]}R")
     return compared(what, printed, ours, TOLERANCE, "Eq. (15) from Tables 1 and 2, B = 0.28 m")
 
 
 def _speed_row() -> Row:
     radius = preset("rover-4wd1").wheel_radius
     reason = f"10.5 rad/s times the diameter; the radius is {radius} m, and Table 1 has {TABLE_1[60]:.0f} mm/s"
-    return Row("linear velocity at k = 60 [m/s], section V", 1.26, 10.5 * radius, "misprint", reason)
+    return Row("linear velocity at k = 60 [m/s], section V", 1.26, 10.5 * radius, "corrected", reason)

@@ -1,45 +1,98 @@
-"""Which papers can be reproduced, and what that gives."""
+"""Which papers can be reproduced, what that gives, and how it is written down."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
+from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.io.atomic import write_text
-from skidsteer.reproduce import giannoccaro2015, thalmann2016, wang_simulated
-from skidsteer.reproduce import rows as lines
-from skidsteer.reproduce.figure import draw, to_csv
+from skidsteer.io.drives import load_drive
+from skidsteer.reproduce.figure import draw
+from skidsteer.reproduce.markdown import document
 from skidsteer.reproduce.rows import Reproduction
 
-PAPERS: dict[str, Callable[[], Reproduction]] = {
-    "giannoccaro2015": lambda: Reproduction(giannoccaro2015.rows()),
-    "thalmann2016": thalmann2016.reproduction,
-    "wang2015": wang_simulated.reproduction,
+REAL = "warthog-asphalt"  # what stands in for the drives of a paper that prints none
+DATA = "SKIDSTEER_DATA"  # variable that names the folder of real drives
+
+
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """Where a paper's calculation is, and whether it takes a real drive."""
+
+    title: str
+    module: str  # of this package, with ``reproduction()``; imported when it is asked for
+    on_drive: bool = False
+
+
+PAPERS: dict[str, Paper] = {
+    "wang2015": Paper(
+        "Wang et al. 2015, Analysis and Experimental Kinematics of a Skid-Steering Wheeled Robot Based on a Laser"
+        " Scanner Sensor, Sensors 15",
+        "wang_simulated",
+    ),
+    "giannoccaro2015": Paper(
+        "Giannoccaro 2015, Kinematic Trajectories Reconstruction Based on Motors Encoders Feedback for a Rover"
+        " Skid-Steering Robot, IJSSIS 8",
+        "giannoccaro2015",
+    ),
+    "thalmann2016": Paper(
+        "Thalmann and Neuner 2016, In-Field Calibrated Odometry for Skid-Steered Mobile Robots, MCG", "thalmann2016"
+    ),
 }
 
 
-def reproduce(paper: str) -> Reproduction:
-    """Calculate what a paper prints.
+def asked(paper: str) -> tuple[str, ...]:
+    """The papers meant by a name, or by ``all``.
 
     Raises:
         RequestError: no such paper; the message lists those there are.
     """
+    if paper == "all":
+        return tuple(PAPERS)
     if paper not in PAPERS:
-        raise RequestError(f"no paper '{paper}'; there are: {', '.join(PAPERS)}")
-    return PAPERS[paper]()
+        raise RequestError(f"no paper '{paper}'; there are: {', '.join(PAPERS)}, or all")
+    return (paper,)
 
 
-def write(done: Reproduction, folder: Path) -> tuple[Path, ...]:
-    """Write the table as table.csv, each figure as CSV and as a drawing (svg) into a folder; the files written.
+def reproduce(paper: str, drive: Drive | None = None) -> Reproduction:
+    """Calculate what a paper prints.
+
+    Args:
+        paper: a key of ``PAPERS``.
+        drive: a real one to stand in where the paper's own is not published.
+
+    Raises:
+        RequestError: no such paper; the message lists those there are.
+    """
+    (name,) = asked(paper)
+    module = import_module(f"skidsteer.reproduce.{PAPERS[name].module}")
+    done: Reproduction = module.reproduction(drive) if PAPERS[name].on_drive else module.reproduction()
+    return done
+
+
+def real_drive() -> Drive | None:
+    """The drive ``REAL`` in the folder that ``SKIDSTEER_DATA`` names (or ../shared/data); None where it is not."""
+    folder = Path(os.environ.get(DATA, Path("..", "shared", "data"))) / REAL
+    return load_drive(folder) if folder.is_dir() else None
+
+
+def write(done: dict[str, Reproduction], folder: Path) -> tuple[Path, ...]:
+    """Write reproduction.md, and each figure as figures/PAPER-NAME.svg, into a folder; the files written.
 
     Raises:
         RequestError: there are figures, but matplotlib is not installed.
+        DataError: a file cannot be written.
     """
-    files = [folder / "table.csv"]
-    write_text(files[0], lines.to_csv(done.rows))
-    for figure in done.figures:
-        files += [folder / f"{figure.name}.csv", folder / f"{figure.name}.svg"]
-        write_text(files[-2], to_csv(figure))
-        draw(figure, files[-1])
+    titles = {name: PAPERS[name].title for name in done}
+    files = [folder / "reproduction.md"]
+    for name, reproduction in done.items():
+        for figure in reproduction.figures:
+            files.append(folder / "figures" / f"{name}-{figure.name}.svg")
+            files[-1].parent.mkdir(exist_ok=True)
+            draw(figure, files[-1])
+    write_text(files[0], document(done, titles))
     return tuple(files)

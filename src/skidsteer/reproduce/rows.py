@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from skidsteer.reproduce.figure import Figure
 
-Verdict = Literal["reproduced", "misprint", "not reproducible", "deviates", "simulated"]
+Verdict = Literal["reproduced", "corrected", "cannot be reproduced", "not possible without the original data"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """One printed figure and ours.
 
-    ``misprint``: the paper contradicts itself and the right figure is known. ``not reproducible``: its figure does not
-    follow from what it prints. ``deviates``: ours should agree and does not. ``simulated``: the paper measured a robot,
-    and a simulated one stands in for it. All but ``reproduced`` give a reason.
+    ``reproduced``: ours agrees. ``corrected``: the paper contradicts itself and the right figure is known. ``cannot be
+    reproduced``: its figure does not follow from what it prints. ``not possible without the original data``: the paper
+    measured something, and what stands in for it (a simulation, a real drive of ours) gives our figure. All but
+    ``reproduced`` give a reason.
     """
 
     what: str  # with the place in the paper
@@ -29,28 +29,76 @@ class Row:
     verdict: Verdict
     reason: str = ""
 
+    def __post_init__(self) -> None:
+        if self.verdict not in VERDICTS:
+            raise ValueError(f"verdict must be one of {', '.join(VERDICTS)}, got {self.verdict!r}")
+        if self.verdict != "reproduced" and not self.reason:
+            raise ValueError(f"'{self.what}' is {self.verdict}: give the reason")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A table or figure of a paper. ``not_computed`` tells why there are neither rows nor a drawing of it."""
+
+    name: str  # as the paper numbers it: "Table 3", "Fig. 12"
+    shows: str
+    not_computed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Figures side by side: a line for each label, a cell for each head (NaN: there is none)."""
+
+    title: str
+    head: tuple[str, ...]
+    lines: tuple[tuple[str, tuple[float, ...]], ...]
+    note: str = ""
+
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """All that a paper's calculation gives."""
+    """All that a paper's calculation gives; ``places`` lists every table and figure that the paper prints."""
 
     rows: tuple[Row, ...]
     figures: tuple[Figure, ...] = ()
+    tables: tuple[Table, ...] = ()
+    places: tuple[Place, ...] = ()
+    notes: tuple[str, ...] = ()  # what else was found wrong, or needs a word
+
+    def rows_of(self, place: Place) -> tuple[Row, ...]:
+        """Rows that name a table or figure."""
+        return tuple(row for row in self.rows if place.name in places_named(row.what))
+
+    def figures_of(self, place: Place) -> tuple[Figure, ...]:
+        """Drawings of a figure: ``figure-12a`` is one of Fig. 12."""
+        number = re.fullmatch(r"Fig\. (\d+)", place.name)
+        if number is None:
+            return ()
+        return tuple(f for f in self.figures if re.fullmatch(rf"figure-{number[1]}(\D.*)?", f.name))
+
+
+def places_named(text: str) -> set[str]:
+    """Tables and figures that a text names: "Figs. 12, 13 and Table III" is "Fig. 12", "Fig. 13", "Table III"."""
+    found = re.findall(r"\b(Table|Fig)s?\.? ((?:\d+|[IVX]+)(?:(?:, | and )(?:\d+|[IVX]+)\b)*)", text)
+    numbers = ((kind, number) for kind, list_ in found for number in re.split(r", | and ", list_))
+    return {f"{kind}. {number}" if kind == "Fig" else f"{kind} {number}" for kind, number in numbers}
 
 
 def compared(what: str, paper: float, ours: float, tolerance: float, reason: str = "") -> Row:
     """A row that should agree to within a tolerance; ``reason`` says what that is, or why it is not met."""
     # The margin is for printed decimals, which are not exact in binary.
     agrees = abs(paper - ours) <= tolerance + 1e-9
-    return Row(what, paper, ours, "reproduced" if agrees else "deviates", reason)
+    why = reason or f"off by more than {tolerance:g}"
+    return (
+        Row(what, paper, ours, "reproduced", reason) if agrees else Row(what, paper, ours, "cannot be reproduced", why)
+    )
 
 
-def to_csv(rows: Sequence[Row]) -> str:
-    """Lines of what, paper, ours, difference, verdict, reason."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["what", "paper", "ours", "difference", "verdict", "reason"])
-    for row in rows:
-        numbers = ["" if math.isnan(v) else f"{v:.6g}" for v in (row.paper, row.ours, row.ours - row.paper)]
-        writer.writerow([row.what, *numbers, row.verdict, row.reason])
-    return text.getvalue()
+def stands_in(what: str, paper: float, ours: float, reason: str) -> Row:
+    """A row whose figure was measured; ``reason`` says what stands in for the measurement."""
+    return Row(what, paper, ours, "not possible without the original data", reason)
+
+
+def tally(rows: Sequence[Row]) -> dict[Verdict, int]:
+    """How many rows have each verdict; verdicts that none has are left out."""
+    return {v: n for v in VERDICTS if (n := sum(row.verdict == v for row in rows))}

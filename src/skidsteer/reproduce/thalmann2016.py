@@ -111,7 +111,11 @@ def _loss_rows(places: tuple[PlaceStudy, ...]) -> tuple[Row, ...]:
         compared("least reduction of the largest error [%], Figs. 12, 13", 50.0, float(reductions.min()), 5.0, first),
         compared("greatest reduction of the largest error [%], Figs. 12, 13", 82.0, float(reductions.max()), 5.0, why),
         Row(
-            "extended model after 180 s [m], Fig. 13", 0.20, last, "reproduced" if last <= 0.20 else "deviates", beside
+            "extended model after 180 s [m], Fig. 13",
+            0.20,
+            last,
+            "reproduced" if last <= 0.20 else "cannot be reproduced",
+            beside,
         ),
     )
 
@@ -129,7 +133,7 @@ def _slip_row(p: PlaceStudy) -> Row:
         f" {sigma:.2g} is on the safe side, since white noise of encoders adds up and the rounding of counts does not"
     )
     reproduced = scatter < 2.0 * sigma and abs(values.mean() - p.place.slip) < 2.0 * sigma
-    return Row(what, float("nan"), scatter, "reproduced" if reproduced else "deviates", reason)
+    return Row(what, float("nan"), scatter, "reproduced" if reproduced else "cannot be reproduced", reason)
 
 
 def figures(done: Study) -> tuple[Figure, ...]:

@@ -61,11 +61,11 @@ def _table_2_rows(laser: Sightings) -> tuple[Row, ...]:
     largest = float(error[np.abs(error).argmax()])
     sigma = float(error.std(ddof=1))
     return (
-        Row("mean of the measured width [m], Table 2", 0.289, float(laser.chord.mean()), "not reproducible", why),
+        Row("mean of the measured width [m], Table 2", 0.289, float(laser.chord.mean()), "cannot be reproduced", why),
         compared(
             "standard deviation of the width [m], Table 2", 0.003, sigma, 5e-4, "simulated at 1 to 3 m, +- 35 deg"
         ),
-        Row("largest error of the width [m], Table 2", -0.01, largest, "not reproducible", places),
+        Row("largest error of the width [m], Table 2", -0.01, largest, "cannot be reproduced", places),
     )
 
 
@@ -108,8 +108,8 @@ def _fit_rows() -> tuple[Row, ...]:
         f" the printed pair leaves {rms:.4f} RMS, ours {fit.rms:.4f}"
     )
     return (
-        Row("a of Eq. (44) from Table 3", PRINTED[0], fit.a, "not reproducible", reason),
-        Row("b of Eq. (44) from Table 3", PRINTED[1], fit.b, "not reproducible", reason),
+        Row("a of Eq. (44) from Table 3", PRINTED[0], fit.a, "cannot be reproduced", reason),
+        Row("b of Eq. (44) from Table 3", PRINTED[1], fit.b, "cannot be reproduced", reason),
     )
 
 
@@ -135,7 +135,7 @@ def _twist_rows() -> tuple[Row, ...]:
     chi = float(icr_coefficient(2.0, *PRINTED))
     reason = "Eqs. (46), (47) print 2 B chi; by Eqs. (11), (15) 2 y0 is B chi"
     return (
-        Row("omega of 0.1 and 0.3 m/s [rad/s], Eq. (47)", 0.2 / (2.0 * TRACK_WIDTH * chi), omega, "misprint", reason),
+        Row("omega of 0.1 and 0.3 m/s [rad/s], Eq. (47)", 0.2 / (2.0 * TRACK_WIDTH * chi), omega, "corrected", reason),
     )
 
 
@@ -143,6 +143,6 @@ def _table_4_rows() -> tuple[Row, ...]:
     reason = "text and Fig. 15 give the proposed model the smaller errors: the rows of Table 4 are swapped"
     axes = ("x [m]", "y [m]", "heading [rad]")
     return tuple(
-        Row(f"error of the proposed model, {axis}, Table 4", printed, other, "misprint", reason)
+        Row(f"error of the proposed model, {axis}, Table 4", printed, other, "corrected", reason)
         for axis, printed, other in zip(axes, TABLE_4["proposed"], TABLE_4["P3-AT"], strict=True)
     )

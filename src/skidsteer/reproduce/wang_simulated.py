@@ -8,7 +8,7 @@ from skidsteer.identify.circle_test import fit_coefficient, wang_protocol
 from skidsteer.models.curvature import icr_coefficient
 from skidsteer.reproduce import wang2015
 from skidsteer.reproduce.figure import Curve, Figure
-from skidsteer.reproduce.rows import Reproduction, Row
+from skidsteer.reproduce.rows import Reproduction, Row, stands_in
 from skidsteer.reproduce.wang2015 import PRINTED, SCATTER_3, TABLE_3, TABLE_4, TRACK_WIDTH
 from skidsteer.reproduce.wang_runs import ROBOT, VEHICLE, Reckonings, Runs, reckonings, runs
 from skidsteer.se2 import FloatArray
@@ -44,47 +44,37 @@ def _fall_rows() -> tuple[Row, ...]:
     first = "beside Table 3; Eqs. (16)-(22) with Table 1 give it by rolling resistance, without which there is none"
     rest = "beside Table 3; as printed the equations give none: the centrifugal force makes chi rise with lambda"
     return (
-        Row(
-            "fall of chi from lambda 0 to 1, Fig. 5",
-            TABLE_3[0] - TABLE_3[1],
-            float(chi[0] - chi[1]),
-            "simulated",
-            first,
-        ),
-        Row(
-            "fall of chi from lambda 1 to 7, Fig. 5", TABLE_3[1] - TABLE_3[7], float(chi[1] - chi[7]), "simulated", rest
-        ),
+        stands_in("fall of chi from lambda 0 to 1, Fig. 5", TABLE_3[0] - TABLE_3[1], float(chi[0] - chi[1]), first),
+        stands_in("fall of chi from lambda 1 to 7, Fig. 5", TABLE_3[1] - TABLE_3[7], float(chi[1] - chi[7]), rest),
     )
 
 
 def _count_row() -> Row:
     asked, driven = len(wang_protocol()), len(wang_protocol(VEHICLE.max_wheel_speed))
     why = f"lambda 1 at 0.4 and 0.5 m/s, 2 at 0.5 m/s ask more of a wheel than its {VEHICLE.max_wheel_speed:g} m/s"
-    return Row("runs that the robot can drive, Eqs. (26), (27)", asked, driven, "not reproducible", why)
+    return Row("runs that the robot can drive, Eqs. (26), (27)", asked, driven, "cannot be reproduced", why)
 
 
 def _table_3_rows(found: Runs) -> tuple[Row, ...]:
     fit, table = found.fit(), fit_coefficient(RATIOS, TABLE_3)
     chi = (
-        Row(f"chi of the runs at lambda = {x:g}, Table 3", mean, float(found.of(x).mean()), "simulated", FLOOR)
+        stands_in(f"chi of the runs at lambda = {x:g}, Table 3", mean, float(found.of(x).mean()), FLOOR)
         for x, mean in zip(RATIOS.tolist(), TABLE_3, strict=True)
     )
     beside = "{} from Table 3 as printed; sigma {:.4f} of the runs', which scatter by {:.4f} about the curve"
     sigma = np.sqrt(np.diag(fit.covariance))
     return (
         *chi,
-        Row(
+        stands_in(
             "a of Eq. (44) from the runs",
             PRINTED[0],
             fit.a,
-            "simulated",
             beside.format(f"{table.a:.3f}", sigma[0], fit.rms),
         ),
-        Row(
+        stands_in(
             "b of Eq. (44) from the runs",
             PRINTED[1],
             fit.b,
-            "simulated",
             beside.format(f"{table.b:.3f}", sigma[1], fit.rms),
         ),
     )
@@ -101,14 +91,14 @@ def _scatter_rows(found: Runs) -> tuple[Row, ...]:
     )
     y0 = 0.5 * TRACK_WIDTH * float(np.abs(error).max())
     return (
-        Row("largest standard deviation over the speeds, Table 3", max(SCATTER_3), sigma, "simulated", speeds),
-        Row("largest relative error of chi, Table 3", 0.0092, relative, "simulated", speeds),
+        stands_in("largest standard deviation over the speeds, Table 3", max(SCATTER_3), sigma, speeds),
+        stands_in("largest relative error of chi, Table 3", 0.0092, relative, speeds),
         _within("largest error of y0 [m], Eq. (43)", 0.007, y0, "against the plant's own; the paper's is a bound"),
     )
 
 
 def _within(what: str, bound: float, ours: float, reason: str) -> Row:
-    return Row(f"{what}, in the runs", bound, ours, "reproduced" if ours <= bound else "deviates", reason)
+    return Row(f"{what}, in the runs", bound, ours, "reproduced" if ours <= bound else "cannot be reproduced", reason)
 
 
 def _path_rows(path: Reckonings) -> tuple[Row, ...]:
@@ -119,7 +109,7 @@ def _path_rows(path: Reckonings) -> tuple[Row, ...]:
         f" heading; with the slide known the position errs by {known}"
     )
     table = tuple(
-        Row(f"path of Eq. (48), {model} model, {axis}, Table 4 with its rows swapped", printed, ours, "simulated", slid)
+        stands_in(f"path of Eq. (48), {model} model, {axis}, Table 4 with its rows swapped", printed, ours, slid)
         for model, paper in swapped.items()
         for axis, printed, ours in zip(AXES, paper, path.errors(model).tolist(), strict=True)
     )
