@@ -227,7 +227,7 @@ def test_the_table_of_the_paper() -> None:
         (lambda: replace(P3AT, lag=-0.1), "lag must be at least 0, got -0.1"),
         (lambda: replace(P3AT, patch_length=0.3), "patches of 0.3 m overlap along the robot"),
         (lambda: replace(P3AT, com_x=0.2), "a wheel is off the ground at rest; bring the centre of mass"),
-        (lambda: robot(preset("summit-xl")), "^vehicle summit-xl has no mass; give it in a vehicle file$"),
+        (lambda: robot(preset("scout-2.0")), "^vehicle scout-2.0 has no mass; give it in a vehicle file$"),
         (lambda: robot(Vehicle("x", 0.5, 0.1, mass=9.0)), "^vehicle x has no wheel_base; give it in a vehicle file$"),
         (lambda: robot(replace(preset("jackal"), wheels=3)), "needs an even number of wheels from 4 on"),
         (lambda: replace(LAB, friction=0.0), "^terrain lab: friction must be above 0, got 0.0$"),

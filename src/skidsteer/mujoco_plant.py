@@ -10,14 +10,16 @@ wheels, whose loads are not determined, or a centre of mass off the middle, to 1
 
 from __future__ import annotations
 
+import math
 from types import ModuleType
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from skidsteer import se2
 from skidsteer.drive import Series
 from skidsteer.errors import RequestError
+from skidsteer.rolling import OverturnedError, at_rest
 from skidsteer.se2 import FloatArray
 from skidsteer.simulate import Motion, refuse_fast
 from skidsteer.terramechanics.robot import Robot
@@ -63,51 +65,98 @@ def roll(robot: Robot, ground: Ground | Terrain, commands: Series) -> Motion:
     refuse_fast(robot.vehicle, commands)
     if len(commands.t) < 2:
         raise RequestError("a drive needs at least two commands: the last one tells when it ends")
-    mujoco = engine()
     ground = Ground(ground) if isinstance(ground, Terrain) else ground
-    model = mujoco.MjModel.from_xml_string(_scene(robot))
-    data = mujoco.MjData(model)
     t = commands.t[0] + STEP * np.arange(int(np.ceil((commands.t[-1] - commands.t[0]) / STEP)) + 1)
-    return _driven(mujoco, model, data, robot, ground, t, _lagged(commands.hold(t), robot.lag))
+    rolling = RollingEngine(robot, ground, t0=float(commands.t[0]))
+    states = np.empty((len(t), 8))
+    states[0] = rolling.state
+    for i, asked in enumerate(commands.hold(t[:-1]), start=1):
+        states[i] = rolling.step(asked, STEP)
+    return Motion(t, states[:, :3], states[:, 3:6], states[:, 6:], np.full((len(t), 3), np.nan))
 
 
-def _lagged(asked: FloatArray, lag: float) -> FloatArray:
-    """Rim speeds (n, 2) that follow those asked for, from rest, through a first-order lag [s]."""
-    from scipy.signal import lfilter
+class RollingEngine:
+    """A robot in the engine on its way, from rest. See ``Rolling``; it goes on by whole steps of the engine.
 
-    keep = np.exp(-STEP / lag) if lag > 0.0 else 0.0
-    return np.asarray(lfilter([0.0, 1.0 - keep], [1.0, -keep], asked, axis=0))
+    Args:
+        robot: that moves; its patches are points here, and its torque has no limit.
+        ground: terrain everywhere, or areas of several.
+        start: (3,) pose.
+        t0: [s] what the clock of the ground's areas tells at the beginning.
 
+    Raises:
+        RequestError: the package is missing, or a start that is not finite.
+    """
 
-def _driven(
-    mujoco: ModuleType, model: Any, data: Any, robot: Robot, ground: Ground, t: FloatArray, rims: FloatArray
-) -> Motion:
-    radius, side = robot.vehicle.wheel_radius, robot.side
-    states, turning = np.empty((len(t), 6)), np.empty((len(t), len(side)))  # pose and velocity in the world; wheels
-    model.geom_friction[1:, 0] = ground.everywhere.friction
-    for _ in range(round(SETTLING / STEP)):
-        mujoco.mj_step(model, data)
-    targets = np.append(rims[1:], rims[-1:], axis=0)[:, side] / radius
-    for i, now in enumerate(t.tolist()):
-        states[i], turning[i] = _state(data, now), data.qvel[6:]
-        if ground.areas:
-            model.geom_friction[1:, 0] = _frictions(ground, se2.compose(states[i, :3], _standing(robot)), now)
-        data.ctrl[:] = targets[i]
-        mujoco.mj_step(model, data)
-    states[:, 2] = np.unwrap(states[:, 2])
-    pose = se2.compose(se2.invert(states[0, :3]), states[:, :3])
-    twist = np.column_stack([se2.rotate(-states[:, 2], states[:, 3:5]), states[:, 5]])
-    speed = radius * np.stack([turning[:, side == s].mean(axis=1) for s in (0, 1)], axis=-1)
-    return Motion(t, pose, twist, speed, np.full((len(t), 3), np.nan))
+    def __init__(
+        self, robot: Robot, ground: Ground | Terrain, start: ArrayLike = (0.0, 0.0, 0.0), t0: float = 0.0
+    ) -> None:
+        self.state, self.power = at_rest(start), np.full(3, np.nan)
+        self._t0, self._t, self._steps = t0, 0.0, 0
+        self._ground = Ground(ground) if isinstance(ground, Terrain) else ground
+        self._side, self._radius, self._wheels = robot.side, robot.vehicle.wheel_radius, _standing(robot)
+        self._keep = math.exp(-STEP / robot.lag) if robot.lag > 0.0 else 0.0
+        self._rims = np.zeros(2)  # behind the lag
+        self._mujoco = engine()
+        self._model = self._mujoco.MjModel.from_xml_string(_scene(robot))
+        self._data = self._mujoco.MjData(self._model)
+        self._settle()
 
+    def step(self, rims: ArrayLike, dt: float) -> FloatArray:
+        """See ``Rolling``."""
+        self._t += dt
+        asked = np.asarray(rims, dtype=float)
+        while self._steps < round(self._t / STEP):
+            self._advance(asked)
+        self.state = self._told()
+        return self.state
 
-def _state(data: Any, now: float) -> tuple[float, ...]:
-    """Pose x, y, yaw and its rates in the world."""
-    x, y, _, w, i, j, k = data.qpos[:7].tolist()
-    if not 1.0 - 2.0 * (i * i + j * j) > TIPPED:  # NaN, too
-        raise RequestError(f"the robot falls over at {now:.2f} s; drive more gently or lower the centre of mass")
-    yaw = np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
-    return (x, y, yaw, *data.qvel[:2].tolist(), float(data.qvel[5]))
+    def _settle(self) -> None:
+        """Place the robot, let the contacts carry it, and take where it then stands for the start."""
+        x, y, yaw = self.state[:3].tolist()
+        self._data.qpos[:7] = x, y, 0.0, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
+        self._model.geom_friction[1:, 0] = self._ground.everywhere.friction
+        for _ in range(round(SETTLING / STEP)):
+            self._mujoco.mj_step(self._model, self._data)
+        self._turned = yaw
+        self._moved = se2.compose(self.state[:3], se2.invert(self._pose()))
+
+    def _advance(self, asked: FloatArray) -> None:
+        """One step of the engine."""
+        if self._ground.areas:
+            wheels = se2.compose(self._pose(), self._wheels)
+            self._model.geom_friction[1:, 0] = _frictions(self._ground, wheels, self._now)
+        self._rims = self._keep * self._rims + (1.0 - self._keep) * asked
+        self._data.ctrl[:] = self._rims[self._side] / self._radius
+        self._mujoco.mj_step(self._model, self._data)
+        self._steps += 1
+
+    @property
+    def _now(self) -> float:
+        return self._t0 + STEP * self._steps
+
+    def _pose(self) -> FloatArray:
+        """Pose (3,) in the engine's world, its yaw unwrapped.
+
+        Raises:
+            OverturnedError: the robot has fallen over.
+        """
+        x, y, _, w, i, j, k = self._data.qpos[:7].tolist()
+        if not 1.0 - 2.0 * (i * i + j * j) > TIPPED:  # NaN, too
+            raise OverturnedError(
+                f"the robot falls over at {self._now:.2f} s; drive more gently or lower the centre of mass"
+            )
+        yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
+        self._turned += math.remainder(yaw - self._turned, 2.0 * math.pi)
+        return np.array([x, y, self._turned])
+
+    def _told(self) -> FloatArray:
+        """State (8,)."""
+        pose, velocity = self._pose(), self._data.qvel
+        along = se2.rotate(-pose[2], velocity[:2])
+        wheels = velocity[6:] * self._radius
+        speeds = [wheels[self._side == side].mean() for side in (0, 1)]
+        return np.array([*se2.compose(self._moved, pose), *along, velocity[5], *speeds])
 
 
 def _standing(robot: Robot) -> FloatArray:

@@ -6,12 +6,15 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from numpy.typing import ArrayLike
+
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
-from skidsteer.models import SymmetricIcr
-from skidsteer.mujoco_plant import roll
+from skidsteer.models import Model, SymmetricIcr
+from skidsteer.mujoco_plant import RollingEngine, roll
+from skidsteer.rolling import Rolling, RollingModel
 from skidsteer.simulate import Sensors, kinematic_drive, recorded, refuse_fast
-from skidsteer.terramechanics.dynamics import terramechanic_drive
+from skidsteer.terramechanics.dynamics import RollingRobot, terramechanic_drive
 from skidsteer.terramechanics.robot import robot
 from skidsteer.terramechanics.terrain import Ground
 from skidsteer.vehicle import Vehicle
@@ -25,9 +28,7 @@ Plant = Callable[[str, Vehicle, Ground, Series, Sensors, int], Drive]
 def kinematic(name: str, vehicle: Vehicle, ground: Ground, commands: Series, sensors: Sensors, seed: int) -> Drive:
     """Constant ICRs where point contacts would have them, chi = 1 + (L / B)^2, whatever the ground."""
     refuse_fast(vehicle, commands)
-    chi = 1.0 + ((vehicle.wheel_base or 0.0) / vehicle.track_width) ** 2
-    model = SymmetricIcr(0.5 * chi * vehicle.track_width, 1.0)
-    drive = kinematic_drive(name, vehicle, model, commands, sensors, LAG, seed=seed)
+    drive = kinematic_drive(name, vehicle, point_contacts(vehicle), commands, sensors, LAG, seed=seed)
     return replace(drive, wheel_command=commands)
 
 
@@ -39,6 +40,12 @@ def terramechanic(name: str, vehicle: Vehicle, ground: Ground, commands: Series,
 def mujoco(name: str, vehicle: Vehicle, ground: Ground, commands: Series, sensors: Sensors, seed: int) -> Drive:
     """Coulomb friction at points in the physics engine MuJoCo; needs ``skidsteer[mujoco]``."""
     return recorded(name, vehicle, roll(robot(vehicle), ground, commands), sensors, seed, commands)
+
+
+def point_contacts(vehicle: Vehicle) -> SymmetricIcr:
+    """ICRs of a robot on four points with equal loads, chi = 1 + (L / B)^2."""
+    chi = 1.0 + ((vehicle.wheel_base or 0.0) / vehicle.track_width) ** 2
+    return SymmetricIcr(0.5 * chi * vehicle.track_width, 1.0)
 
 
 PLANTS: dict[str, Plant] = {"kinematic": kinematic, "terramechanic": terramechanic, "mujoco": mujoco}
@@ -53,6 +60,34 @@ def plant(name: str) -> Plant:
     if name not in PLANTS:
         raise RequestError(f"no plant '{name}'; there are: {', '.join(PLANTS)}")
     return PLANTS[name]
+
+
+def begin(
+    name: str,
+    vehicle: Vehicle,
+    ground: Ground,
+    start: ArrayLike = (0.0, 0.0, 0.0),
+    lag: float = LAG,
+    model: Model | None = None,
+) -> Rolling:
+    """A robot on its way in the plant of that name, at rest, for a closed loop.
+
+    Args:
+        name: of the plant.
+        vehicle: what is not known of it is assumed, see ``robot``.
+        ground: its areas lie in the frame of ``start``, its times count from the beginning.
+        start: (3,) pose.
+        lag: [s] with which the rims follow what they are asked for.
+        model: of the kinematic plant; None: ``point_contacts``.
+
+    Raises:
+        RequestError: no such plant, or one that cannot be begun so.
+    """
+    plant(name)
+    if name == "kinematic":
+        return RollingModel(model or point_contacts(vehicle), start, lag)
+    made = robot(vehicle, lag=lag)
+    return RollingRobot(made, ground, start) if name == "terramechanic" else RollingEngine(made, ground, start)
 
 
 def usual_sensors(vehicle: Vehicle) -> Sensors:

@@ -72,8 +72,10 @@ PRESETS: dict[str, Vehicle] = _presets(
         track_width=0.462,
         wheel_radius=0.11,
         wheel_base=0.458,
+        mass=51.0,
         max_wheel_speed=3.0,
-        source="Robotnik summit_xl_common, summit_xl_skid_control.yaml (wheels at most 27.27 rad/s)",
+        source="Robotnik summit_xl_common, summit_xl_skid_control.yaml (wheels at most 27.27 rad/s) and URDF (mass of"
+        " body and wheels)",
     ),
     Vehicle(
         "husky-a200",

@@ -235,6 +235,7 @@ def drive(
     t: FloatArray,
     commands: FloatArray,
     start: FloatArray,
+    loads: FloatArray,
     places: FloatArray,
     body: FloatArray,
     bounds: FloatArray,
@@ -251,6 +252,7 @@ def drive(
         t: (n,) [s].
         commands: (n, 2) [m/s] rim speeds asked for, held from each time to the next.
         start: (8,) pose, twist, rim speeds.
+        loads: in and out, (w,) [N] on the wheels.
         places: (w, 2) [m] patches from the origin; those of the left side have y > 0.
         body: (10,) mass [kg], yaw inertia [kg m^2], centre of mass x, y and height [m], mass that the rims of a side
             feel [kg], lag of the speed loop [s], force of a side [N], patch length and width [m].
@@ -267,10 +269,9 @@ def drive(
         How it ended, at which index of t, and which wheel lifted off.
     """
     pose, z = start[:3].copy(), start[3:].copy()
-    loads, ground = np.empty(len(places)), np.zeros((len(places), 4))
+    ground = np.zeros((len(places), 4))
     total, drag, was = np.zeros((5, 6)), np.zeros(1), np.empty(5)
     poses[0], states[0], power[0] = pose, z, 0.0
-    _share_load(places, body, 0.0, 0.0, loads)
     for n in range(len(t)):
         for i in range(len(places)):
             if not loads[i] >= 0.0:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.kernels import ground as kernels
+from skidsteer.rolling import OverturnedError, at_rest
 from skidsteer.se2 import FloatArray
 from skidsteer.simulate import PLAIN, Motion, Sensors, recorded, refuse_fast
 from skidsteer.terramechanics.robot import Robot
@@ -53,21 +54,62 @@ def move(
     ground = Ground(ground) if isinstance(ground, Terrain) else ground
     t = _clock(commands.t, step)
     poses, states, power = np.empty((len(t), 3)), np.empty((len(t), 5)), np.empty((len(t), 3))
-    ended, at, wheel = kernels.drive(
-        t,
-        commands.hold(t),
-        state,
-        robot.places,
-        _body(robot),
-        ground.bounds(),
-        ground.numbers(),
-        *quadrature.nodes(),
-        poses,
-        states,
-        power,
-    )
+    fixed = _numbers(robot, ground, quadrature)
+    ended, at, wheel = kernels.drive(t, commands.hold(t), state, robot.loads((0.0, 0.0)), *fixed, poses, states, power)
     _refuse_end(robot, ended, float(t[at]), wheel)
     return Motion(t, poses, states[:, :3], states[:, 3:], power)
+
+
+class RollingRobot:
+    """A robot on its way, stepped from outside: `move`, a stretch at a time. See ``Rolling``.
+
+    Args:
+        robot: that moves; its lag is that of the wheels.
+        ground: terrain everywhere, or areas of several; its times count from the beginning.
+        start: (3,) pose, at rest.
+        step: [s] longest.
+        quadrature: over each patch.
+
+    Raises:
+        RequestError: a start that is not finite.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        ground: Ground | Terrain,
+        start: ArrayLike = (0.0, 0.0, 0.0),
+        step: float = STEP,
+        quadrature: Quadrature = NODES,
+    ) -> None:
+        self.robot, self.longest, self.t = robot, step, 0.0
+        self.state, self.power = at_rest(start), np.zeros(3)
+        ground = Ground(ground) if isinstance(ground, Terrain) else ground
+        self._fixed, self._loads = _numbers(robot, ground, quadrature), robot.loads((0.0, 0.0))
+        self._parts, self._length = np.zeros(1), 0.0  # [s] of a step, cut; of which length
+
+    def step(self, rims: ArrayLike, dt: float) -> FloatArray:
+        """State (8,) dt [s] later, with rim speeds (2,) [m/s] asked for; see ``Rolling``.
+
+        Raises:
+            OverturnedError: a wheel lifts off.
+            RequestError: a step that cannot be solved.
+        """
+        if dt <= 0.0:
+            return self.state
+        if dt != self._length:
+            count = max(1, int(np.ceil(dt / self.longest * (1.0 - 1e-9))))
+            self._parts, self._length = np.linspace(0.0, dt, count + 1), dt
+        n = len(self._parts)
+        asked, t = np.empty((n, 2)), self.t + self._parts
+        asked[:] = rims
+        poses, states, power = np.empty((n, 3)), np.empty((n, 5)), np.empty((n, 3))
+        ended, at, wheel = kernels.drive(t, asked, self.state, self._loads, *self._fixed, poses, states, power)
+        _refuse_end(self.robot, ended, float(t[at]), wheel)
+        self.t += dt
+        self.state = np.concatenate((poses[-1], states[-1]))
+        self.power = power[1:].mean(axis=0)
+        return self.state
 
 
 def terramechanic_drive(
@@ -107,6 +149,14 @@ def _clock(t: FloatArray, step: float) -> FloatArray:
     return np.append(np.repeat(t[:-1], parts) + share * np.repeat(np.diff(t), parts), t[-1])
 
 
+Numbers = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def _numbers(robot: Robot, ground: Ground, quadrature: Quadrature) -> Numbers:
+    """What does not change on the way, in the order of `kernels.ground.drive`."""
+    return robot.places, _body(robot), ground.bounds(), ground.numbers(), *quadrature.nodes()
+
+
 def _body(robot: Robot) -> FloatArray:
     """The numbers of a robot in the order of `kernels.ground.drive`."""
     r = robot.vehicle.wheel_radius
@@ -128,7 +178,7 @@ def _body(robot: Robot) -> FloatArray:
 
 def _refuse_end(robot: Robot, ended: int, t: float, wheel: int) -> None:
     if ended == kernels.LIFTED:
-        raise RequestError(
+        raise OverturnedError(
             f"{robot.name_of(wheel)} lifts off the ground at {t:.3f} s; drive more gently or lower the centre of mass"
         )
     if ended == kernels.FAILED:

@@ -1,0 +1,36 @@
+"""Where the robot is while no pose comes: reckoned for a moment, ever slower, then it stands until one comes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from skidsteer.follow.sensing import Triple
+
+GRACE = 0.1  # [s] without a pose that change nothing
+STAND = 0.5  # [s] without a pose, from which on the robot stands
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPose:
+    """A pose, and how long ago the last one came."""
+
+    pose: Triple
+    age: float = 0.0  # [s]
+
+    @property
+    def caution(self) -> float:
+        """Share of the speed to drive with: 1 while poses come, 0 from ``STAND`` on."""
+        return min(max((STAND - self.age) / (STAND - GRACE), 0.0), 1.0)
+
+    def after(self, dt: float, twist: Triple, seen: Triple | None) -> KnownPose:
+        """Dt [s] later: the pose seen, or where a measured twist brought it. One that is not finite counts as none."""
+        if seen is not None and math.isfinite(seen[0] + seen[1] + seen[2]):
+            return KnownPose(seen)
+        x, y, yaw = self.pose
+        v_x, v_y, omega = twist
+        half = 0.5 * omega * dt
+        chord = dt * math.sin(half) / half if half else dt
+        cos, sin = math.cos(yaw + half), math.sin(yaw + half)
+        moved = x + chord * (cos * v_x - sin * v_y), y + chord * (sin * v_x + cos * v_y), yaw + 2.0 * half
+        return KnownPose(moved, self.age + dt)

@@ -1,0 +1,147 @@
+"""What a controller is told of the robot: poses that are late, noisy, leap or fail to come, and a measured twist.
+
+A leap of the localization is one of its map: from then on the path lies elsewhere on the ground. How far the robot is
+off the path is told in that map, as the localization itself would tell it without noise and delay.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from skidsteer.errors import RequestError
+from skidsteer.models import MatrixModel, Model
+from skidsteer.se2 import FloatArray, compose, invert
+
+Triple = tuple[float, float, float]
+BLOCK = 1000  # samples of noise drawn at once
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A leap of the localization, in the frame of the robot, at a time or when a share of the way is driven."""
+
+    left: float  # [m]
+    ahead: float = 0.0  # [m]
+    turn: float = 0.0  # [rad]
+    time: float = math.inf  # [s]
+    share: float = math.inf  # of the way
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.left, self.ahead, self.turn))):
+            raise RequestError(f"a jump needs finite numbers, got {self}")
+        if math.isnan(self.time) or math.isnan(self.share):
+            raise RequestError(f"a jump needs a time in s, or a share of the way, got {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sensing:
+    """Of the closed loop: how often it runs, and what is wrong with what it is told.
+
+    Raises:
+        RequestError: a rate that is not above 0, a delay or sigma below 0, a time without poses that ends before it
+            begins.
+    """
+
+    rate: float = 50.0  # [Hz] of the controller
+    delay: float = 0.0  # [s] of the pose
+    position_sigma: float = 0.0  # [m] each axis, white
+    yaw_sigma: float = 0.0  # [rad]
+    wheel_sigma: float = 0.0  # [m/s] of each rim speed
+    gyro_sigma: float = 0.0  # [rad/s]
+    jumps: tuple[Jump, ...] = ()
+    lost: tuple[tuple[float, float], ...] = ()  # [s] from and to: no pose comes
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rate < math.inf:
+            raise RequestError(f"the rate of the controller must be above 0 Hz, got {self.rate}")
+        for name in ("delay", "position_sigma", "yaw_sigma", "wheel_sigma", "gyro_sigma"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise RequestError(f"{name} must be at least 0, got {getattr(self, name)}")
+        for start, end in self.lost:
+            if not start < end:
+                raise RequestError(f"poses are lost from one time to a later one, got {start} to {end} s")
+
+
+IDEAL = Sensing()
+
+
+class Localization:
+    """Poses that the controller is told. It remembers those of the delay, and how far its map has leapt."""
+
+    def __init__(self, sensing: Sensing, seed: int) -> None:
+        self._sensing, self._waiting = sensing, list(sensing.jumps)
+        self._offset: FloatArray | None = None  # of the map
+        self._past: list[Triple] = []  # poses in the map
+        self._late = sensing.delay * sensing.rate  # [samples]
+        self._sigma = np.array([sensing.position_sigma, sensing.position_sigma, sensing.yaw_sigma])
+        self._rng = np.random.default_rng([seed, 0]) if self._sigma.any() else None
+        self._noise: list[Triple] = []
+
+    def place(self, pose: Triple, t: float, share: float) -> Triple:
+        """Where a robot at a pose is in the map, at a time [s], when a share of the way is driven."""
+        placed = pose if self._offset is None else _triple(compose(self._offset, pose))
+        for jump in [j for j in self._waiting if t >= j.time or share >= j.share]:
+            self._waiting.remove(jump)
+            placed = _triple(compose(placed, (jump.ahead, jump.left, jump.turn)))
+            self._offset = compose(placed, invert(pose))
+        return placed
+
+    def see(self, placed: Triple, t: float) -> Triple | None:
+        """The pose told at a time [s], late and noisy; None where none comes. Called once a sample."""
+        self._past.append(placed)
+        if any(start <= t < end for start, end in self._sensing.lost):
+            return None
+        pose = self._delayed() if self._late > 0.0 else placed
+        if self._rng is None:
+            return pose
+        if not self._noise:
+            self._noise = (self._sigma * self._rng.standard_normal((BLOCK, 3))).tolist()
+        dx, dy, turn = self._noise.pop()
+        return pose[0] + dx, pose[1] + dy, pose[2] + turn
+
+    def _delayed(self) -> Triple:
+        at = max(len(self._past) - 1 - self._late, 0.0)
+        i, share = int(at), at % 1.0
+        if share == 0.0:
+            return self._past[i]
+        a, b = self._past[i], self._past[i + 1]
+        return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
+
+
+def _triple(pose: FloatArray) -> Triple:
+    x, y, yaw = pose.tolist()
+    return x, y, yaw
+
+
+def twist_meter(model: Model, sensing: Sensing, seed: int) -> Callable[[list[float]], Triple]:
+    """How a twist is measured: v_x and v_y by a model from rim speeds, omega by a gyro.
+
+    Returns:
+        From a state (8,) of ``Rolling`` the measured twist.
+    """
+    twist = twist_function(model)
+    if not (sensing.wheel_sigma or sensing.gyro_sigma):
+        return lambda state: (*twist(state[6], state[7])[:2], state[5])
+    sigma = np.array([sensing.wheel_sigma, sensing.wheel_sigma, sensing.gyro_sigma])
+    rng = np.random.default_rng([seed, 1])
+    noise: list[Triple] = []
+
+    def measured(state: list[float]) -> Triple:
+        if not noise:
+            noise.extend((sigma * rng.standard_normal((BLOCK, 3))).tolist())
+        left, right, gyro = noise.pop()
+        return *twist(state[6] + left, state[7] + right)[:2], state[5] + gyro
+
+    return measured
+
+
+def twist_function(model: Model) -> Callable[[float, float], Triple]:
+    """Twist of left and right rim speed [m/s], of one sample in plain numbers."""
+    if not isinstance(model, MatrixModel):
+        return lambda left, right: _triple(model.twist(left, right))
+    (a, b), (c, d), (e, f) = model.matrix().tolist()
+    return lambda left, right: (a * left + b * right, c * left + d * right, e * left + f * right)
