@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from skidsteer.drive import Drive, Series
 from skidsteer.gyro import Turn
-from skidsteer.metrics import Spread, WindowErrors, align_gyro, aligned_rms, window_errors
+from skidsteer.metrics import Spread, WindowErrors, align_gyro, aligned_rms, median_interval, window_errors
 from skidsteer.models import Differential, Icr, Model
 from skidsteer.se2 import FloatArray, chain, compose, rotate
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
@@ -55,6 +55,23 @@ def test_spread_by_hand() -> None:
 
 def test_spread_leaves_out_nan() -> None:
     assert Spread.of(np.array([np.nan, 3.0, np.nan, -4.0])) == Spread.of(np.array([3.0, -4.0]))
+
+
+def test_the_interval_of_a_median_holds_the_truth_as_often_as_it_says() -> None:
+    """Errors that blocks share; the median of their size is that of |N(0, 2)|."""
+    rng, block, held = np.random.default_rng(3), np.repeat(np.arange(16), 12), 0
+    for _ in range(200):
+        errors = rng.normal(size=16)[block] + np.sqrt(3.0) * rng.normal(size=192)
+        low, high = median_interval(errors, block) or (np.nan, np.nan)
+        held += low <= 2.0 * 0.67449 <= high
+    assert 0.88 <= held / 200 <= 0.98
+
+
+def test_the_interval_of_a_median_needs_blocks() -> None:
+    block = np.repeat(np.arange(6), 2)
+    assert median_interval(np.full(12, -0.5), block) == (0.5, 0.5)
+    assert median_interval(np.where(block == 0, np.nan, 1.0), block) is None
+    assert median_interval(np.zeros(0), np.zeros(0, int)) is None
 
 
 @pytest.mark.parametrize("errors", [[], [np.nan, np.nan]])

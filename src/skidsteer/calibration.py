@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skidsteer.errors import RequestError
-from skidsteer.metrics import Spread, WindowErrors
+from skidsteer.metrics import Spread, WindowErrors, median_interval
 from skidsteer.models import MatrixModel, Model
 from skidsteer.noise import Noise
 from skidsteer.prediction import Regions, Uncertainty
@@ -93,15 +93,24 @@ class HeldOut:
     yaw_gyro_deg: Spread | None = None
     coverage_68: float | None = None  # share of end poses inside the region that claims 68 %
     coverage_95: float | None = None
+    median_95: Mapping[str, tuple[float, float]] | None = None  # 95 % interval of each median; None: too few blocks
 
     @classmethod
-    def of(cls, errors: WindowErrors, regions: Regions | None = None) -> HeldOut:
-        """Figures of window errors; the gyro's only where there is one, the coverage only with regions."""
+    def of(cls, errors: WindowErrors, regions: Regions | None = None, block: np.ndarray | None = None) -> HeldOut:
+        """Figures of window errors; the gyro's only where there is one, the coverage only with regions.
+
+        Intervals of the medians need the block (k,) that each window lies in.
+        """
         gyro = Spread.of(np.degrees(errors.yaw_gyro)) if np.isfinite(errors.yaw_gyro).any() else None
         shares: tuple[float | None, float | None] = (None, None)
         if regions is not None and np.isfinite(errors.squared).any():
             shares = (regions.coverage(errors.squared, 0.68), regions.coverage(errors.squared, 0.95))
-        return cls(len(errors), Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro, *shares)
+        sizes = {"translation_m": errors.translation, "yaw_deg": np.degrees(errors.yaw)}
+        sizes["yaw_gyro_deg"] = np.degrees(errors.yaw_gyro)
+        intervals = {name: median_interval(size, block) for name, size in sizes.items()} if block is not None else {}
+        told = {name: interval for name, interval in intervals.items() if interval is not None}
+        spreads = Spread.of(errors.translation), Spread.of(np.degrees(errors.yaw)), gyro
+        return cls(len(errors), *spreads, *shares, told or None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,40 @@ class Spread:
         return cls(float(np.median(size)), float(np.sqrt(np.mean(size**2))), float(np.quantile(size, 0.95)))
 
 
+LEAST_BLOCKS = 6  # below which resampling them tells nothing
+RESAMPLES = 1000
+
+
+def median_interval(errors: FloatArray, block: np.ndarray) -> tuple[float, float] | None:
+    """95 % interval of the median size of errors (k,), NaN left out, by drawing whole blocks again and again.
+
+    Windows inside a block are not independent, blocks nearly are. The same errors give the same interval.
+
+    Args:
+        errors: (k,) of any unit.
+        block: (k,) number of the block that each lies in.
+
+    Returns:
+        Lower and upper end; None with fewer than ``LEAST_BLOCKS`` blocks.
+    """
+    told = np.isfinite(errors)
+    names, number = np.unique(block[told], return_inverse=True)
+    if len(names) < LEAST_BLOCKS:
+        return None
+    size = np.abs(errors[told])
+    order = np.argsort(size)
+    drawn = np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1.0 / len(names)), RESAMPLES)
+    medians = [_weighted_median(size[order], times[number[order]]) for times in drawn]
+    low, high = np.quantile(medians, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _weighted_median(ascending: FloatArray, times: np.ndarray) -> float:
+    """Median of numbers (k,) in ascending order, each of which counts several times (k,)."""
+    count = np.cumsum(times)
+    return float(ascending[np.searchsorted(2 * count, count[-1])])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowErrors:
     """Errors of a prediction on the windows of drives; NaN where the drive cannot tell."""

@@ -107,7 +107,7 @@ def calibrate(
         method=options.method,
         selected_because=because,
         warnings=(*complaints, *_warnings(found, verdict, judged, chosen, drives), *notes),
-        held_out={name: HeldOut.of(errors.errors) for name, errors in judged.items()},
+        held_out={name: HeldOut.of(e.errors, block=e.block) for name, e in judged.items()},
         regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
         observability=verdict,
     )
@@ -380,4 +380,4 @@ def compare_models(
     judged = judge_models(candidates(drives, options), drives, options, progress)
     if not judged:
         raise DataError(f"{drives[0].name}: too short to hold anything out; at least 16 s in motion are needed")
-    return {name: HeldOut.of(errors.errors) for name, errors in judged.items()}, select(judged)
+    return {name: HeldOut.of(e.errors, block=e.block) for name, e in judged.items()}, select(judged)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skidsteer.drive import Drive
-from skidsteer.identify.least_squares import FitOptions, fit_supported
+from skidsteer.identify.least_squares import Fit, FitOptions, fit_supported
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
@@ -45,6 +45,42 @@ def block_edges(drive: Drive) -> FloatArray:
     return np.concatenate([[-np.inf], first, [np.inf]])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Folds:
+    """Two fits, each to every other block of the drives; ``edges`` (b + 1,) [s] cut each drive into blocks."""
+
+    edges: tuple[FloatArray, ...]
+    fits: tuple[Fit, Fit]  # the first has not seen the even blocks, the second not the odd ones
+
+    def block(self, drive: int, t: FloatArray) -> np.ndarray:
+        """Number (k,) of the block that each time t (k,) [s] of a drive lies in."""
+        return _block(t, self.edges[drive])
+
+
+def _block(t: FloatArray, edges: FloatArray) -> np.ndarray:
+    return np.asarray(np.searchsorted(edges, t, side="right") - 1)
+
+
+def fold_fits(start: Model, drives: list[Drive], options: FitOptions, spacing: float = 0.0) -> Folds | None:
+    """Fit a model to the odd and to the even blocks of drives; None where they are too short to be cut into four.
+
+    Args:
+        start: where the fits begin.
+        drives: at least one.
+        options: of the fits.
+        spacing: of the reference poses that are fitted to [s], see ``increment_windows``.
+    """
+    edges = tuple(block_edges(drive) for drive in drives)
+    if sum(len(e) - 1 for e in edges) < 4:
+        return None
+    increments = [increment_windows(drive, spacing) for drive in drives]
+    seen = [[w.where(_block(w.start, e) % 2 != f) for w, e in zip(increments, edges, strict=True)] for f in (0, 1)]
+    if not all(any(map(len, train)) for train in seen):
+        return None
+    without_even, without_odd = (fit_supported(start, drives, train, options) for train in seen)
+    return Folds(edges, (without_even, without_odd))
+
+
 def held_out(
     start: Model, drives: list[Drive], options: FitOptions, length: float = 2.0, spacing: float = 0.0
 ) -> HeldOutErrors | None:
@@ -60,24 +96,18 @@ def held_out(
     Returns:
         None where the drives are too short to be cut into four blocks or more.
     """
-    edges = [block_edges(drive) for drive in drives]
-    if sum(len(e) - 1 for e in edges) < 4:
-        return None
-    increments = [increment_windows(drive, spacing) for drive in drives]
+    folds = fold_fits(start, drives, options, spacing)
+    return None if folds is None else held_out_errors(folds, drives, length)
+
+
+def held_out_errors(folds: Folds, drives: list[Drive], length: float = 2.0) -> HeldOutErrors:
+    """Errors on the judging windows of ``length`` [s], each predicted by the fit that has not seen its block."""
     errors, blocks = [], []
-    for fold in (0, 1):
-        train = [w.where(_block(w.start, e) % 2 != fold) for w, e in zip(increments, edges, strict=True)]
-        if not any(map(len, train)):
-            return None
-        found = fit_supported(start, drives, train, options)
-        for i, (drive, e) in enumerate(zip(drives, edges, strict=True)):
+    for fold, found in enumerate(folds.fits):
+        for i, drive in enumerate(drives):
             judged = window_errors(found.model, drive, found.timings[i], length, found.mount, found.uncertainty(i))
-            first, last = _block(judged.start, e), _block(np.nextafter(judged.end, -np.inf), e)
+            first, last = folds.block(i, judged.start), folds.block(i, np.nextafter(judged.end, -np.inf))
             test = (first % 2 == fold) & (first == last)
             errors.append(judged.where(test))
             blocks.append(1000 * i + first[test])
     return HeldOutErrors(WindowErrors.join(errors), np.concatenate(blocks))
-
-
-def _block(t: FloatArray, edges: FloatArray) -> np.ndarray:
-    return np.asarray(np.searchsorted(edges, t, side="right") - 1)

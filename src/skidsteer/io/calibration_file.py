@@ -78,6 +78,7 @@ class _HeldOut(_Strict):
     yaw_gyro_deg: _Spread | None = None
     coverage_68: float | None = None
     coverage_95: float | None = None
+    median_95: dict[str, tuple[float, float]] | None = None
 
 
 class _Regions(_Strict):
@@ -177,7 +178,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         "method": calibration.method,
         "selected_because": calibration.selected_because,
         "warnings": list(calibration.warnings),
-        "held_out": {name: _without_none(asdict(h)) for name, h in calibration.held_out.items()},
+        "held_out": {name: _plain(_without_none(asdict(h))) for name, h in calibration.held_out.items()},
         "regions": None if calibration.regions is None else asdict(calibration.regions),
         "observability": None if calibration.observability is None else _plain(asdict(calibration.observability)),
         "provenance": {
@@ -291,4 +292,5 @@ def _refuse_unphysical(estimates: dict[str, Estimate], covariance: _Covariance) 
 
 def _held_out(file: _HeldOut) -> HeldOut:
     gyro = None if file.yaw_gyro_deg is None else Spread(**file.yaw_gyro_deg.model_dump())
-    return HeldOut(file.windows, Spread(**file.translation_m.model_dump()), Spread(**file.yaw_deg.model_dump()), gyro)
+    spreads = Spread(**file.translation_m.model_dump()), Spread(**file.yaw_deg.model_dump()), gyro
+    return HeldOut(file.windows, *spreads, file.coverage_68, file.coverage_95, file.median_95)
