@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import cumulative_simpson, quad
 from scipy.interpolate import CubicSpline
 from scipy.special import fresnel, gamma
@@ -55,6 +55,14 @@ def test_the_slope_of_the_curvature_is_its_derivative(path: Path) -> None:
     middle = path.knots[:-1, 0] + 0.5 * np.diff(path.knots[:, 0])
     difference = (path.curvature(middle + 1e-4) - path.curvature(middle - 1e-4)) / 2e-4
     assert_allclose(path.curvature_slope(middle), difference, atol=1e-6)
+
+
+@ANY
+def test_one_frame_is_that_of_many(path: Path) -> None:
+    for s in np.linspace(-1.3 * path.length, 2.3 * path.length, 23):
+        frame = path.frame(float(s))
+        assert_array_equal(frame[:3], path.at(s))
+        assert_array_equal(frame[3:], [path.curvature(s), path.curvature_slope(s)])
 
 
 def test_a_line_and_an_arc_by_hand() -> None:

@@ -10,8 +10,9 @@ Positive curvature turns left. A path that is driven in reverse is the same curv
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +34,16 @@ SAME = 1e-6  # [m] between two points that are one
 SHARPEST = np.radians(150.0)  # turn between the legs of waypoints, beyond which they go back
 ORIGIN = (0.0, 0.0, 0.0)
 NODES, WEIGHTS = kernels.NODES, kernels.WEIGHTS  # of a Gauss-Legendre quadrature on [0, 1]
+
+
+class Frame(NamedTuple):
+    """A point of a path."""
+
+    x: float  # [m]
+    y: float  # [m]
+    yaw: float  # [rad] of the tangent, unwrapped
+    curvature: float  # [1/m]
+    slope: float  # [1/m^2] of the curvature by arc length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +89,10 @@ class Path:
         """Poses (..., 3) of the tangent at s (...) [m]: the Serret-Frenet frames; the yaw is unwrapped."""
         return self._points(s)[..., :3]
 
+    def frame(self, s: float) -> Frame:
+        """The Serret-Frenet frame at one s [m], curvature and its slope there; fast."""
+        return Frame(*kernels.frame(self.knots, self.closed, s))
+
     def curvature(self, s: ArrayLike) -> FloatArray:
         """Curvature (...) [1/m] at s (...) [m]; where it jumps, that of the piece that begins."""
         return self._points(s)[..., 3]
@@ -117,21 +132,11 @@ class Path:
         Raises:
             ValueError: a point that is not two finite numbers, a window that is not positive.
         """
-        x, y = np.asarray(point, dtype=float).tolist()
-        if not (np.isfinite([x, y]).all() and window > 0.0 and (near is None or np.isfinite(near))):
+        x, y = point if isinstance(point, tuple) else np.asarray(point, dtype=float).tolist()
+        about = math.nan if near is None else near
+        if not (math.isfinite(x + y) and window > 0.0 and (near is None or math.isfinite(near))):
             raise ValueError(f"need a finite point, near and window > 0, got {point!r}, {near}, {window}")
-        if near is not None and (not self.closed or 2.0 * window < self.length):
-            low, high = (near - window, near + window) if self.closed else self._clipped(near, window)
-            s = float(kernels.nearest(self.knots, self.closed, x, y, low, high))
-            inside_low, inside_high = s > low or (not self.closed and low == 0.0), s < high or high == self.length
-            if inside_low and inside_high:
-                return s
-        s = float(kernels.nearest(self.knots, self.closed, x, y, 0.0, self.length))
-        return s if near is None or not self.closed else s + self.length * round((near - s) / self.length)
-
-    def _clipped(self, near: float, window: float) -> tuple[float, float]:
-        near = min(max(near, 0.0), self.length)
-        return max(near - window, 0.0), min(near + window, self.length)
+        return float(kernels.project(self.knots, self.closed, x, y, about, window))
 
     def placed(self, start: ArrayLike) -> Self:
         """The same curve, moved so that it begins at a pose (3,)."""

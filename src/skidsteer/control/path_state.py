@@ -121,16 +121,10 @@ def path_error(state: PathState, pose: ArrayLike) -> PathError:
         DataError: a pose that is not finite.
     """
     x, y, yaw = finite("pose", pose)
-    at_x, at_y, tangent = state.path.at(state.s).tolist()
-    cos, sin = math.cos(tangent), math.sin(tangent)
-    turned = yaw - tangent + (math.pi if state.path.reverse else 0.0)
-    return PathError(
-        cos * (x - at_x) + sin * (y - at_y),
-        cos * (y - at_y) - sin * (x - at_x),
-        wrapped(turned),
-        float(state.path.curvature(state.s)),
-        float(state.path.curvature_slope(state.s)),
-    )
+    at = state.path.frame(state.s)
+    cos, sin, dx, dy = math.cos(at.yaw), math.sin(at.yaw), x - at.x, y - at.y
+    turned = yaw - at.yaw + (math.pi if state.path.reverse else 0.0)
+    return PathError(cos * dx + sin * dy, cos * dy - sin * dx, wrapped(turned), at.curvature, at.slope)
 
 
 def wrapped(angle: float) -> float:
@@ -144,7 +138,7 @@ def finite(name: str, values: ArrayLike) -> tuple[float, float, float]:
     Raises:
         DataError: they are not three finite numbers.
     """
-    three = np.asarray(values, dtype=float).ravel().tolist()
+    three = values if isinstance(values, tuple) else np.asarray(values, dtype=float).ravel().tolist()
     if len(three) != 3 or not all(math.isfinite(value) for value in three):
         raise DataError(f"the {name} is {three}, not three finite numbers; stop until it is known again")
     return three[0], three[1], three[2]

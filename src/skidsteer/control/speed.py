@@ -8,7 +8,7 @@ that no limit is exceeded and the curvature is kept.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,10 +56,22 @@ class Wheels:
 
     model: Model
     max_speed: float  # [m/s] at the rim
+    _inverse: tuple[float, ...] = field(init=False, repr=False, compare=False)  # rims of v and omega; empty: nonlinear
+    _outer: tuple[float, ...] = field(init=False, repr=False, compare=False)  # [m/s] v_x of one side at its limit
 
     def __post_init__(self) -> None:
         if not 0.0 < self.max_speed < math.inf:
             raise ValueError(f"need a finite max_speed > 0 [m/s], got {self.max_speed}")
+        linear = isinstance(self.model, MatrixModel)
+        inverse = self.model.wheel_speeds([1.0, 0.0], [0.0, 1.0]).T.ravel() if linear else np.empty(0)
+        outer = self.model.twist([0.0, self.max_speed], [self.max_speed, 0.0])[:, 0]
+        object.__setattr__(self, "_inverse", tuple(inverse.tolist()))
+        object.__setattr__(self, "_outer", tuple(outer.tolist()))
+
+    def _rims(self, v: float, omega: float) -> tuple[float, float]:
+        """Rim speeds of a linear model, whatever their limit."""
+        a, b, c, d = self._inverse
+        return a * v + b * omega, c * v + d * omega
 
     def speeds(self, v: float, omega: float) -> FloatArray:
         """Rim speeds (2,) [m/s], left and right, for v [m/s] and omega [rad/s], slowed alike where one is too fast.
@@ -71,16 +83,20 @@ class Wheels:
         """
         if not (math.isfinite(v) and math.isfinite(omega)):
             raise ValueError(f"need finite v and omega, got {v}, {omega}")
+        if self._inverse:
+            left, right = self._rims(v, omega)
+            scale = self.max_speed / max(abs(left), abs(right), self.max_speed)
+            return np.array([self._within(scale * left), self._within(scale * right)])
         rims = self.model.wheel_speeds(v, omega)
         fastest = float(np.abs(rims).max())
         if fastest <= self.max_speed:
             return rims
-        if isinstance(self.model, MatrixModel):
-            rims = rims * (self.max_speed / fastest)
-        else:
-            scale = self._scale(v, omega, self.max_speed / fastest)
-            rims = self.model.wheel_speeds(scale * v, scale * omega)
-        return np.clip(rims, -self.max_speed, self.max_speed)  # what rounding left
+        scale = self._scale(v, omega, self.max_speed / fastest)
+        return np.clip(self.model.wheel_speeds(scale * v, scale * omega), -self.max_speed, self.max_speed)
+
+    def _within(self, rim: float) -> float:
+        """What rounding left."""
+        return min(max(rim, -self.max_speed), self.max_speed)
 
     def _scale(self, v: float, omega: float, guess: float) -> float:
         """Greatest scale in [0, 1] of a command that the wheels can do; what a model cannot tell counts as too fast.
@@ -99,8 +115,9 @@ class Wheels:
 
     def reachable(self, curvature: float) -> float:
         """Greatest v_x [m/s] at a curvature omega / v_x [1/m], Huskić 2017, Eq. (16), of whichever side is faster."""
-        if isinstance(self.model, MatrixModel):
-            return self.max_speed / float(np.abs(self.model.wheel_speeds(1.0, curvature)).max())
+        if self._inverse:
+            left, right = self._rims(1.0, curvature)
+            return self.max_speed / max(abs(left), abs(right))
         rims = self.speeds(2.0 * self.max_speed, 2.0 * self.max_speed * curvature)
         return float(self.model.twist(rims[0], rims[1])[0])
 
@@ -110,8 +127,7 @@ class Wheels:
         The sides take turns over ``BLEND`` about a yaw rate omega [rad/s] of 0.
         """
         right = min(max(0.5 + 0.5 * omega / BLEND, 0.0), 1.0)
-        outer = self.model.twist([0.0, self.max_speed], [self.max_speed, 0.0])[:, 0]
-        return float(right * outer[0] + (1.0 - right) * outer[1])
+        return right * self._outer[0] + (1.0 - right) * self._outer[1]
 
 
 @dataclass(frozen=True, slots=True)

@@ -152,5 +152,5 @@ def _run(path: Path, dt: float, rows: list[Row], outcome: str, reason: str) -> R
     columns: list[FloatArray] = [np.array(column, dtype=float) for column in zip(*rows, strict=True)]
     states, placed, seen, commanded, sent, at, power = columns
     s, aside, turned = at.T
-    t = np.arange(len(rows)) * dt
+    t: FloatArray = dt * np.arange(len(rows), dtype=float)
     return Run(path, t, states, placed, seen, commanded, sent, s, aside, turned, power, outcome, reason)

@@ -65,6 +65,14 @@ def point(knots: FloatArray, closed: bool, s: float, out: FloatArray) -> None:
 
 
 @njit(cache=True)
+def frame(knots: FloatArray, closed: bool, s: float) -> tuple[float, float, float, float, float]:
+    """``point`` as plain numbers."""
+    out = np.empty(5)
+    point(knots, closed, s, out)
+    return out[0], out[1], out[2], out[3], out[4]
+
+
+@njit(cache=True)
 def points(knots: FloatArray, closed: bool, s: FloatArray, out: FloatArray) -> None:
     """Points (m, 5) at each of s (m,)."""
     for k in range(len(s)):
@@ -130,3 +138,29 @@ def nearest(knots: FloatArray, closed: bool, x: float, y: float, low: float, hig
             return float(new)
         s = float(new)
     return s
+
+
+@njit(cache=True)
+def project(knots: FloatArray, closed: bool, x: float, y: float, near: float, window: float) -> float:
+    """The s of the nearest point within a window [m] to either side of ``near``, or else of the whole path.
+
+    The whole is searched where ``near`` is NaN, where the nearest point lies at the edge of the window, and where a
+    closed path is no longer than the window; then s lies in the lap about ``near``.
+    """
+    length = knots[-1, 0]
+    known = not math.isnan(near)
+    if known and closed and 2.0 * window < length:
+        low, high = near - window, near + window
+        s = nearest(knots, closed, x, y, low, high)
+        if low < s < high:
+            return float(s)
+    elif known and not closed:
+        middle = min(max(near, 0.0), length)
+        low, high = max(middle - window, 0.0), min(middle + window, length)
+        s = nearest(knots, closed, x, y, low, high)
+        if (s > low or low == 0.0) and (s < high or high == length):
+            return float(s)
+    s = nearest(knots, closed, x, y, 0.0, length)
+    if known and closed:
+        s += length * round((near - s) / length)
+    return float(s)
