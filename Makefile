@@ -35,7 +35,11 @@ studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md,
 	$(BIN)/python benchmarks/odometry_study.py
 	$(BIN)/python benchmarks/online_filter.py
 
+figures: .venv/ready ## draw the README's picture from a real drive
+	$(BIN)/python -m pip install --quiet --editable '.[figures]'
+	$(BIN)/skidsteer figure before-after --drive $${SKIDSTEER_DATA:-../shared/data}/warthog-asphalt --show 50,80 --out docs/figures/readme-warthog.svg
+
 clean:           ## remove everything that was made
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-.PHONY: help demo test lint bench studies clean
+.PHONY: help demo test lint bench studies figures clean

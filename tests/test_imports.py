@@ -17,7 +17,7 @@ ORDER = """
     errors se2 vehicle drive kernels paths models windows gyro noise heading prediction metrics multipliers calibration
     simulate rolling terramechanics mujoco_plant samples p3at laser
     io doctor identify evaluation
-    odometry control plants follow plan export report reproduce
+    odometry control plants follow plan export report figures reproduce
     documents console sources cli
 """
 ROOMS = ORDER.split()

@@ -20,14 +20,23 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     Raises:
         DataError: the folder is missing or cannot be written to, or the path is a folder.
     """
+    write_bytes(path, _encoded(text))
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a file in one step, as ``write_text`` does.
+
+    Raises:
+        DataError: the folder is missing or cannot be written to, or the path is a folder.
+    """
     with _plain_errors(path):
         if _is_device(path):
-            Path(path).write_bytes(_encoded(text))
+            Path(path).write_bytes(data)
             return
         target = Path(os.path.realpath(path))
         temporary = _beside(target)
         try:
-            _write_through(temporary, text)
+            _write_through(temporary, data)
             if target.is_file():
                 shutil.copymode(target, temporary)
             os.replace(temporary, target)
@@ -49,7 +58,7 @@ def write_folder(path: str | os.PathLike[str], files: Mapping[str, str]) -> None
         try:
             temporary.mkdir()
             for name, text in files.items():
-                _write_through(temporary / name, text)
+                _write_through(temporary / name, _encoded(text))
             if target.is_dir():
                 os.rename(target, old)
             os.rename(temporary, target)
@@ -73,9 +82,9 @@ def _encoded(text: str) -> bytes:
     return text.encode("utf-8", errors="backslashreplace")
 
 
-def _write_through(path: Path, text: str) -> None:
+def _write_through(path: Path, data: bytes) -> None:
     with path.open("xb") as file:
-        file.write(_encoded(text))
+        file.write(data)
         file.flush()
         os.fsync(file.fileno())
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from skidsteer.errors import RequestError
+from skidsteer.figures.sheet import COLOURS, COLUMN, DASHES, MARKERS, blank, save, style
 from skidsteer.se2 import FloatArray
 
 
@@ -29,32 +30,33 @@ class Figure:
     x_label: str  # with the unit
     y_label: str
     curves: tuple[Curve, ...]
+    to_scale: bool = False  # as long upwards as sideways
 
 
 def draw(figure: Figure, path: Path) -> None:
-    """Write a drawing; the suffix of the path tells the format (png, svg, pdf).
+    """Write a drawing; the suffix of the path tells the format, svg or png.
 
     Raises:
         RequestError: matplotlib is not installed.
+        DataError: the file cannot be written.
     """
-    try:
-        from matplotlib import rc_context
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure as Sheet
-    except ImportError as error:
-        raise RequestError("drawing needs matplotlib: pip install 'skidsteer[figures]'") from error
-    sheet = Sheet(figsize=(7.0, 4.5), layout="constrained")
-    FigureCanvasAgg(sheet)
-    axes = sheet.add_subplot()
-    for curve in figure.curves:
-        if curve.low is None or curve.high is None:
-            axes.plot(curve.x, curve.y, label=curve.label)
-        else:
-            bars = [curve.y - curve.low, curve.high - curve.y]
-            axes.errorbar(curve.x, curve.y, yerr=bars, label=curve.label, marker="o", capsize=3)
-    axes.set(title=figure.title, xlabel=figure.x_label, ylabel=figure.y_label)
-    axes.grid(alpha=0.3)
-    axes.legend()
-    undated = {"Date": None} if path.suffix == ".svg" else None
-    with rc_context({"svg.hashsalt": figure.name}):  # the same figure gives the same file
-        sheet.savefig(path, metadata=undated)
+    with style():
+        sheet = blank(1.4 * COLUMN, 80.0)
+        axes = sheet.add_subplot()
+        for i, curve in enumerate(figure.curves):
+            look: dict[str, Any] = {
+                "color": COLOURS[i % len(COLOURS)],
+                "linestyle": DASHES[i % len(DASHES)],
+                "label": curve.label,
+            }
+            if curve.low is None or curve.high is None:
+                axes.plot(curve.x, curve.y, **look)
+            else:
+                bars = [curve.y - curve.low, curve.high - curve.y]
+                mark = MARKERS[i % len(MARKERS)]
+                axes.errorbar(curve.x, curve.y, yerr=bars, marker=mark, capsize=2, elinewidth=0.8, **look)
+        axes.set(xlabel=figure.x_label, ylabel=figure.y_label)
+        if figure.to_scale:
+            axes.set_aspect("equal", adjustable="datalim")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5)) if len(figure.curves) > 5 else axes.legend()
+        save(sheet, path)

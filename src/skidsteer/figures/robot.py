@@ -1,0 +1,136 @@
+"""The robot from above, to scale, with the ICRs of its treads and their 95 % ellipses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skidsteer.calibration import Calibration
+from skidsteer.figures.material import Material
+from skidsteer.figures.sheet import BLACK, BLUE, COLUMN, GREY, VERMILION, blank, to_scale
+from skidsteer.models import Model
+from skidsteer.se2 import FloatArray
+from skidsteer.vehicle import PRESETS, Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Sheet
+
+SLOW = 0.05  # [m/s] of the rims, at which a model that depends on the speed is shown
+LIMIT = 5.991  # chi-square with two degrees of freedom, 95 %
+STEP = 1e-6  # of a parameter, in finite differences
+LENGTH = 0.8  # wheel base over track width where the vehicle does not tell its own
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TreadIcrs:
+    """Where the treads stand still on the ground in a slow turn on the spot: rows left, right of x, y [m]."""
+
+    place: FloatArray  # (2, 2)
+    covariance: FloatArray  # (2, 2, 2)
+
+    @property
+    def distance(self) -> float:
+        """Between the two [m]: the track width of the equal differential drive."""
+        return float(self.place[0, 1] - self.place[1, 1])
+
+
+def tread_icrs(calibration: Calibration) -> TreadIcrs:
+    """Tread ICRs of any model with their covariance, by central differences over its parameters."""
+    model = calibration.model
+    names = [p.name for p in model.PARAMETERS]
+    index = [calibration.names.index(name) for name in names]
+    theta, columns = model.theta, []
+    for i in range(len(names)):
+        step = STEP * np.eye(len(names))[i]
+        columns.append((_places(model.with_theta(theta + step)) - _places(model.with_theta(theta - step))) / (2 * STEP))
+    jacobian = np.moveaxis(np.array(columns).reshape(-1, 2, 2), 0, -1)
+    covariance = jacobian @ calibration.covariance[np.ix_(index, index)] @ np.swapaxes(jacobian, -1, -2)
+    return TreadIcrs(_places(model), covariance)
+
+
+def _places(model: Model) -> FloatArray:
+    """Mandow 2007, Eqs. (2)-(5), in REP-103: x = -v_y / omega, y = (v_x - alpha V) / omega of each tread."""
+    values = {p.name: float(v) for p, v in zip(model.PARAMETERS, model.theta, strict=True)}
+    common = values.get("alpha", 1.0)
+    v_x, v_y, omega = model.twist(-SLOW, SLOW)
+    rims = (-SLOW * values.get("alpha_left", common), SLOW * values.get("alpha_right", common))
+    return np.array([[-v_y / omega, (v_x - rim) / omega] for rim in rims])
+
+
+def draw_robot_icrs(material: Material) -> Sheet:
+    """A sheet with the robot alone."""
+    sheet = blank(COLUMN, 78.0)
+    draw_robot(sheet.add_subplot(), material.calibration)
+    return sheet
+
+
+def draw_robot(axes: Axes, calibration: Calibration) -> None:
+    """Draw the robot with its tread ICRs, x forward to the top, y to the left."""
+    vehicle, icrs = calibration.vehicle, tread_icrs(calibration)
+    base = _body(axes, vehicle)
+    half, low = 0.5 * vehicle.track_width, -0.5 * base - 1.3 * vehicle.wheel_radius
+    gap = 0.16 * vehicle.track_width
+    _measure(axes, (half, -half), low - gap, f"track width {vehicle.track_width:.2f} m", VERMILION)
+    for (x, y), covariance in zip(icrs.place, icrs.covariance, strict=True):
+        axes.plot([y, y], [x, low - 2.3 * gap], color=BLUE, linewidth=0.5, linestyle=(0, (2, 2)))
+        axes.fill(*_ellipse(x, y, covariance), facecolor=BLUE, alpha=0.3, edgecolor=BLUE, linewidth=0.8)
+    axes.plot(icrs.place[:, 1], icrs.place[:, 0], "o", color=BLUE, markersize=2.5)
+    _measure(
+        axes, (icrs.place[0, 1], icrs.place[1, 1]), low - 2.3 * gap, f"turns as if {icrs.distance:.2f} m wide", BLUE
+    )
+    axes.plot(0.0, 0.0, "+", color=BLACK, markersize=5)
+    for (x, y), side in zip(icrs.place.tolist(), ("left", "right"), strict=True):
+        axes.text(y, x + 0.12 * half, f"{side}\nICR", color=BLUE, ha="center", va="bottom")
+    to_scale(axes, "y, to the left [m]", "x, forward [m]", "box")
+    wide = 1.25 * max(np.abs(icrs.place[:, 1]).max(), half + vehicle.wheel_radius)
+    axes.set_xlim(wide, -wide)
+    axes.set_ylim(low - 3.6 * gap, 0.5 * base + 2.2 * vehicle.wheel_radius)
+
+
+def _body(axes: Axes, vehicle: Vehicle) -> float:
+    """Draw body and wheels; the wheel base [m] that they were drawn with."""
+    from matplotlib.patches import FancyBboxPatch, Rectangle
+
+    known = PRESETS.get(vehicle.name.lower().removeprefix("clearpath-"))
+    base = vehicle.wheel_base or (known.wheel_base if known else None) or LENGTH * vehicle.track_width
+    r, half = vehicle.wheel_radius, 0.5 * vehicle.track_width
+    thick, inner = 0.55 * r, half - 0.4 * r
+    frame = FancyBboxPatch(
+        (-inner, -0.5 * base - 0.6 * r),
+        2 * inner,
+        base + 1.2 * r,
+        boxstyle=f"round,pad=0,rounding_size={0.3 * r}",
+        facecolor="#eeeeee",
+        edgecolor=GREY,
+        linewidth=0.8,
+    )
+    axes.add_patch(frame)
+    per_side = max(vehicle.wheels // 2, 1)
+    for x in np.linspace(0.5 * base, -0.5 * base, per_side) if per_side > 1 else (0.0,):
+        for y in (half, -half):
+            axes.add_patch(Rectangle((y - 0.5 * thick, x - r), thick, 2 * r, facecolor="#555555", edgecolor="none"))
+    tip = 0.5 * base + 0.35 * r
+    axes.annotate("", (0.0, tip), (0.0, 0.12 * base), arrowprops={"arrowstyle": "-|>", "color": GREY, "linewidth": 0.8})
+    return base
+
+
+def _measure(axes: Axes, ends: tuple[float, float], x: float, text: str, colour: str) -> None:
+    axes.annotate(
+        "",
+        (ends[0], x),
+        (ends[1], x),
+        arrowprops={"arrowstyle": "<|-|>", "color": colour, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
+    )
+    axes.annotate(text, (0.5 * sum(ends), x), (0, -2), textcoords="offset points", color=colour, ha="center", va="top")
+
+
+def _ellipse(x: float, y: float, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Outline of the 95 % ellipse as y, x, the way it is drawn."""
+    values, vectors = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    circle = np.sqrt(LIMIT * np.clip(values, 0.0, None))[:, None] * np.stack([np.cos(angle), np.sin(angle)])
+    forward, left = vectors @ circle
+    return y + left, x + forward

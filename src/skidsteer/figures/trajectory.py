@@ -1,0 +1,96 @@
+"""Where the robot went by its reference, and where its wheels say it went: nominal and calibrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skidsteer.drive import Drive
+from skidsteer.figures.material import Material
+from skidsteer.figures.robot import draw_robot
+from skidsteer.figures.sheet import BLACK, BLUE, COLUMN, PAGE, VERMILION, blank, to_scale
+from skidsteer.models import Differential, Model
+from skidsteer.se2 import FloatArray, chain, compose, invert
+from skidsteer.windows import Timing, Windows, judging_pairs, predict
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Sheet
+
+ENDLESS = 1e9  # [s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reckoned:
+    """Dead reckoning over the stretches of a drive, each from where the reference has it at its beginning."""
+
+    lines: tuple[FloatArray, ...]  # (n, 3) poses at the reference's stamps
+    ends: FloatArray  # (k,) [m] by which the end of each stretch is off
+
+    @property
+    def off(self) -> float:
+        """Root mean square of the ends [m]."""
+        return float(np.sqrt(np.mean(self.ends**2)))
+
+
+def reckoned(model: Model, drive: Drive, timing: Timing, restart: float) -> Reckoned:
+    """Dead reckoning of a drive with reference poses, begun anew every ``restart`` [s] (0: never)."""
+    assert drive.pose is not None
+    t, poses = drive.pose.t, drive.pose.values
+    lines, ends = [], []
+    for i, j in judging_pairs(drive, t, restart or ENDLESS):
+        steps = Windows(t[i:j], t[i + 1 : j + 1], np.zeros((j - i, 3)), np.ones(j - i, bool))
+        lines.append(chain(predict(model, drive.wheels, steps, timing), poses[i]))
+        ends.append(np.hypot(*(lines[-1][-1] - poses[j])[:2]))
+    return Reckoned(tuple(lines), np.array(ends))
+
+
+def draw_trajectory(material: Material) -> Sheet:
+    """A sheet with the first drive."""
+    sheet = blank(COLUMN, 78.0)
+    draw_drive(sheet.add_subplot(), material, material.needed("trajectory")[0])
+    return sheet
+
+
+def draw_before_after(material: Material) -> Sheet:
+    """A sheet of the width of a page: the first drive, and beside it the robot with its tread ICRs."""
+    sheet = blank(PAGE, 76.0)
+    left, right = sheet.subplots(1, 2, width_ratios=(1.25, 1.0))
+    draw_drive(left, material, material.needed("before-after")[0])
+    draw_robot(right, material.calibration)
+    return sheet
+
+
+def draw_drive(axes: Axes, material: Material, drive: Drive) -> None:
+    """Reference, nominal and calibrated dead reckoning, turned so that the drive begins along x."""
+    assert drive.pose is not None
+    calibration = material.calibration
+    home = invert(drive.pose.values[0])
+    nominal = reckoned(Differential.nominal(calibration.vehicle), drive, Timing(), material.restart)
+    after = reckoned(calibration.model, drive, calibration.timing, material.restart)
+    begin = "end" if not material.restart else f"ends of {material.restart:g} s"
+    shown = (
+        (nominal, VERMILION, (0, (5, 1.5)), f"wheels, nominal: {begin} off by {nominal.off:.2f} m"),
+        (after, BLUE, "-", f"wheels, calibrated: {after.off:.2f} m"),
+    )
+    reference = compose(home, drive.pose.values)
+    axes.plot(*reference[:, :2].T, color=BLACK, linewidth=2.6, alpha=0.25, label="reference", solid_capstyle="round")
+    for found, colour, dash, label in shown:
+        for n, line in enumerate(found.lines):
+            x, y = compose(home, line)[:, :2].T
+            axes.plot(x, y, color=colour, linestyle=dash, label=None if n else label)
+            axes.plot(x[-1], y[-1], "o", color=colour, markersize=2.5)
+    axes.plot(0.0, 0.0, "o", color=BLACK, markersize=4, zorder=5)
+    axes.annotate("start", (0.0, 0.0), (4, 4), textcoords="offset points")
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    _room_above(axes)
+    to_scale(axes, "x [m]", "y [m]")
+
+
+def _room_above(axes: Axes) -> None:
+    """Leave room for the legend above what is drawn."""
+    box = axes.dataLim
+    axes.update_datalim([(box.x0, box.y1 + 0.3 * box.height)])
+    axes.autoscale_view()
