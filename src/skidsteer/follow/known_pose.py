@@ -18,6 +18,11 @@ class KnownPose:
     pose: Triple
     age: float = 0.0  # [s]
 
+    @classmethod
+    def first(cls, seen: Triple | None) -> KnownPose | None:
+        """The first pose that is told, as soon as one is."""
+        return cls(seen) if seen is not None and _finite(seen) else None
+
     @property
     def caution(self) -> float:
         """Share of the speed to drive with: 1 while poses come, 0 from ``STAND`` on."""
@@ -25,7 +30,7 @@ class KnownPose:
 
     def after(self, dt: float, twist: Triple, seen: Triple | None) -> KnownPose:
         """Dt [s] later: the pose seen, or where a measured twist brought it. One that is not finite counts as none."""
-        if seen is not None and math.isfinite(seen[0] + seen[1] + seen[2]):
+        if seen is not None and _finite(seen):
             return KnownPose(seen)
         x, y, yaw = self.pose
         v_x, v_y, omega = twist
@@ -34,3 +39,7 @@ class KnownPose:
         cos, sin = math.cos(yaw + half), math.sin(yaw + half)
         moved = x + chord * (cos * v_x - sin * v_y), y + chord * (sin * v_x + cos * v_y), yaw + 2.0 * half
         return KnownPose(moved, self.age + dt)
+
+
+def _finite(pose: Triple) -> bool:
+    return math.isfinite(pose[0] + pose[1] + pose[2])

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skidsteer.control import Command, Controller, Wheels
+from skidsteer.control import Command, Controller, PathError, PathState, Wheels, path_error
 from skidsteer.control.path_state import State
 from skidsteer.errors import RequestError
-from skidsteer.follow.known_pose import KnownPose
+from skidsteer.follow.driver import STANDING, Driver, Memory
 from skidsteer.follow.run import Run
-from skidsteer.follow.sensing import IDEAL, Localization, Sensing, Triple, twist_function, twist_meter
+from skidsteer.follow.sensing import IDEAL, Localization, Sensing, Triple, twist_meter
 from skidsteer.paths import Path
 from skidsteer.rolling import OverturnedError, Rolling
 from skidsteer.se2 import FloatArray
@@ -21,11 +21,18 @@ from skidsteer.se2 import FloatArray
 NEAR_END = 0.5  # [m] before the end of an open path, within which a robot that its controller stops has arrived
 STILL = 0.01  # [m/s] of the rims, below which the robot stands
 PATIENCE = 5.0  # [s] that it may stand on the way although poses come
+UNKNOWN = (math.nan, math.nan, math.nan)
+
+End = tuple[str, str]  # outcome and reason
 
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """When driving ends."""
+    """When driving ends.
+
+    Raises:
+        RequestError: one of them is not above 0.
+    """
 
     laps: float = 1.0  # of a closed path
     time: float = 600.0  # [s]
@@ -35,6 +42,9 @@ class Ends:
         for name in ("laps", "time", "off"):
             if not getattr(self, name) > 0.0:
                 raise RequestError(f"{name} must be above 0, got {getattr(self, name)}")
+
+
+ONCE = Ends()
 
 
 class Row(NamedTuple):
@@ -49,27 +59,21 @@ class Row(NamedTuple):
     power: FloatArray
 
 
-NONE = (math.nan, math.nan, math.nan)
-
-
 def follow(
     rolling: Rolling,
     controller: Controller[State],
     wheels: Wheels,
     path: Path,
     sensing: Sensing = IDEAL,
-    ends: Ends = Ends(),
+    ends: Ends = ONCE,
     acceleration: float = math.inf,
     seed: int = 0,
 ) -> Run:
     """Let a controller drive a robot along a path.
 
-    While no pose comes the robot is reckoned by what the wheels and the gyro tell, for half a second, ever slower; then
-    it stands until a pose comes.
-
     Args:
         rolling: the robot, where it begins; it is driven on.
-        controller: that drives it.
+        controller: that drives it, see ``Driver``.
         wheels: the model that turns commands into rim speeds, which is what is believed of the robot; their limit.
         path: to follow.
         sensing: rate of the loop, and what the controller is told.
@@ -83,69 +87,62 @@ def follow(
     Raises:
         RequestError: a step that the plant cannot simulate.
     """
-    dt, limit = 1.0 / sensing.rate, acceleration / sensing.rate
+    driver = Driver(controller, wheels, path, acceleration)
     localization, meter = Localization(sensing, seed), twist_meter(wheels.model, sensing, seed)
-    realised = twist_function(wheels.model)
-    goal = ends.laps * path.length if path.closed else path.length
-    rows: list[Row] = []
-    known, state, sent, commanded = None, None, (0.0, 0.0), (0.0, 0.0)
-    near, begun, stood, end = None, 0.0, 0, ("time is up", f"{ends.time:g} s are over")
-    for k in range(round(ends.time * sensing.rate) + 1):
-        numbers = rolling.state.tolist()
-        twist, t = meter(numbers), k * dt
-        placed = localization.place((numbers[0], numbers[1], numbers[2]), t, ((near or begun) - begun) / goal)
-        seen = localization.see(placed, t)
-        near = path.project(placed[:2], near=near)
-        begun = near if k == 0 else begun
-        _, aside, turned = path.error(placed, near).tolist()
-        if known is not None:
-            known = known.after(dt, twist, seen)
-        elif seen is not None:
-            known = KnownPose(seen)
-        if known is None:
-            asked = (0.0, 0.0)
-        else:
-            if state is None:
-                state = controller.begin(path, known.pose)
-            else:
-                state = controller.advance(state, known.pose, twist, dt, commanded)
-            v, omega = controller.command(known.pose, twist, state)
-            asked = (known.caution * v, known.caution * omega)
-        left, right = wheels.speeds(*asked).tolist()
-        sent = _slowed(sent, (left, right), limit)
-        v, _, omega = realised(*sent)
-        commanded = v, omega
-        rows.append(Row(rolling.state, placed, seen or NONE, asked, sent, (near, aside, turned), rolling.power))
-        stood = stood + 1 if max(abs(numbers[6]), abs(numbers[7])) < STILL and known and known.age == 0.0 else 0
-        stopped = asked == (0.0, 0.0) and stood > 0
-        if path.closed and near - begun >= goal:
-            end = "laps done", f"{ends.laps:g} laps are driven"
-            break
-        if not path.closed and stopped and path.length - near <= NEAR_END:
-            end = "arrived", f"it stands {path.length - near:.2f} m before the end of the path"
-            break
-        if math.hypot(*(a - b for a, b in zip(placed[:2], path.at(near)[:2], strict=True))) > ends.off:
-            end = "lost the path", f"it is {abs(aside):.2f} m off the path at {t:.2f} s, more than {ends.off:g} m"
-            break
-        if stood * dt > PATIENCE:
-            end = "stands still", f"it does not move on from s = {near:.2f} m"
-            break
+    memory: Memory[State] = Memory()
+    judge, rows, dt, end = Judge(path, ends), list[Row](), 1.0 / sensing.rate, None
+    while end is None:
+        t, state = len(rows) * dt, rolling.state
+        x, y, yaw, *moving = state.tolist()
+        placed = localization.place((x, y, yaw), t, judge.share)
+        seen, twist = localization.see(placed, t), meter(moving)
+        memory = driver.drive(memory, seen, twist, dt)
+        at = judge.locate(placed)
+        row = (judge.s, at.y_e, at.theta_e)
+        rows.append(Row(state, placed, seen or UNKNOWN, memory.asked, memory.sent, row, rolling.power))
+        end = judge.end(t, at, memory, max(abs(moving[3]), abs(moving[4])))
         try:
-            rolling.step(sent, dt)
+            rolling.step(memory.sent, 0.0 if end else dt)
         except OverturnedError as fall:
             end = "tipped over", str(fall)
-            break
     return _run(path, dt, rows, *end)
 
 
-def _slowed(before: Command, asked: Command, limit: float) -> Command:
-    """Rim speeds on the way from those before to those asked for, none of them changed by more than a limit [m/s]."""
-    left, right = asked[0] - before[0], asked[1] - before[1]
-    most = max(abs(left), abs(right))
-    if most <= limit:
-        return asked
-    share = limit / most
-    return before[0] + share * left, before[1] + share * right
+class Judge:
+    """How far the robot has come, by its true pose in the map, and whether driving ends."""
+
+    def __init__(self, path: Path, ends: Ends) -> None:
+        self._path, self._ends = path, ends
+        self._goal = ends.laps * path.length if path.closed else path.length
+        self.s, self._begun = math.nan, math.nan  # [m] along the path
+        self._since: float | None = None  # [s] when it came to stand
+
+    @property
+    def share(self) -> float:
+        """Of the way."""
+        return 0.0 if math.isnan(self.s) else (self.s - self._begun) / self._goal
+
+    def locate(self, placed: Triple) -> PathError:
+        """Errors of a pose, by projection."""
+        first = math.isnan(self.s)
+        self.s = self._path.project(placed[:2], near=None if first else self.s)
+        self._begun = self.s if first else self._begun
+        return path_error(PathState(self._path, self.s), placed)
+
+    def end(self, t: float, at: PathError, memory: Memory[State], fastest: float) -> End | None:
+        """Outcome and reason, or None: drive on; ``fastest`` [m/s] is the faster rim."""
+        stands = fastest < STILL and memory.known is not None and memory.known.age == 0.0
+        self._since = (self._since if self._since is not None else t) if stands else None
+        left = self._path.length - self.s
+        if self._path.closed and self.share >= 1.0:
+            return "laps done", f"{self._ends.laps:g} laps are driven"
+        if not self._path.closed and stands and memory.asked == STANDING and left <= NEAR_END:
+            return "arrived", f"it stands {left:.2f} m before the end of the path"
+        if (off := math.hypot(at.x_e, at.y_e)) > self._ends.off:
+            return "lost the path", f"it is {off:.2f} m off at {t:.2f} s, more than {self._ends.off:g} m"
+        if self._since is not None and t - self._since > PATIENCE:
+            return "stands still", f"it does not move on from {self.s:.2f} m along the path"
+        return ("time is up", f"{self._ends.time:g} s are over") if t >= self._ends.time else None
 
 
 def _run(path: Path, dt: float, rows: list[Row], outcome: str, reason: str) -> Run:

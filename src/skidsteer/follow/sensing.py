@@ -121,20 +121,20 @@ def twist_meter(model: Model, sensing: Sensing, seed: int) -> Callable[[list[flo
     """How a twist is measured: v_x and v_y by a model from rim speeds, omega by a gyro.
 
     Returns:
-        From a state (8,) of ``Rolling`` the measured twist.
+        From v_x, v_y, omega and both rim speeds the measured twist.
     """
     twist = twist_function(model)
     if not (sensing.wheel_sigma or sensing.gyro_sigma):
-        return lambda state: (*twist(state[6], state[7])[:2], state[5])
+        return lambda moving: (*twist(moving[3], moving[4])[:2], moving[2])
     sigma = np.array([sensing.wheel_sigma, sensing.wheel_sigma, sensing.gyro_sigma])
     rng = np.random.default_rng([seed, 1])
     noise: list[Triple] = []
 
-    def measured(state: list[float]) -> Triple:
+    def measured(moving: list[float]) -> Triple:
         if not noise:
             noise.extend((sigma * rng.standard_normal((BLOCK, 3))).tolist())
         left, right, gyro = noise.pop()
-        return *twist(state[6] + left, state[7] + right)[:2], state[5] + gyro
+        return *twist(moving[3] + left, moving[4] + right)[:2], moving[2] + gyro
 
     return measured
 

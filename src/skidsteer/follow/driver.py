@@ -1,0 +1,90 @@
+"""What runs on the robot: from the pose that is told, or none, to the rim speeds that are sent.
+
+It keeps three promises whatever the controller does: no rim speed sent is beyond the wheels' limit, none changes faster
+than their acceleration, and where no pose comes the robot slows down and stands until one does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Generic
+
+from skidsteer.control import Command, Controller, Wheels
+from skidsteer.control.path_state import State
+from skidsteer.errors import RequestError
+from skidsteer.follow.known_pose import KnownPose
+from skidsteer.follow.sensing import Triple, twist_function
+from skidsteer.paths import Path
+
+STANDING = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Memory(Generic[State]):
+    """What is known between two samples, and what was sent last."""
+
+    known: KnownPose | None = None  # None: no pose has come yet
+    state: State | None = None  # of the controller
+    asked: Command = STANDING  # v [m/s], omega [rad/s] by the controller
+    sent: Command = STANDING  # [m/s] rim speeds
+    realised: Command = STANDING  # v, omega that they are believed to give
+
+
+class Driver(Generic[State]):
+    """A controller on its way along a path; its functions are pure.
+
+    Args:
+        controller: that drives.
+        wheels: the model that turns commands into rim speeds, which is what is believed of the robot; their limit.
+        path: to follow.
+        acceleration: [m/s^2] by which no rim speed sent changes faster.
+
+    Raises:
+        RequestError: an acceleration that is not above 0.
+    """
+
+    def __init__(
+        self, controller: Controller[State], wheels: Wheels, path: Path, acceleration: float = math.inf
+    ) -> None:
+        if not acceleration > 0.0:
+            raise RequestError(f"the acceleration of the wheels must be above 0 m/s^2, got {acceleration}")
+        self._controller, self._wheels, self._path, self._acceleration = controller, wheels, path, acceleration
+        self._twist = twist_function(wheels.model)
+
+    def drive(self, before: Memory[State], seen: Triple | None, twist: Triple, dt: float) -> Memory[State]:
+        """Memory and rim speeds of a sample.
+
+        Args:
+            before: of the last sample; ``Memory()`` at the beginning.
+            seen: pose that was told; None or not finite: none.
+            twist: measured.
+            dt: [s] since the last sample.
+        """
+        known = KnownPose.first(seen) if before.known is None else before.known.after(dt, twist, seen)
+        if known is None:
+            return self._sent(before, None, None, STANDING, dt)
+        if before.state is None:
+            state = self._controller.begin(self._path, known.pose)
+        else:
+            state = self._controller.advance(before.state, known.pose, twist, dt, before.realised)
+        v, omega = self._controller.command(known.pose, twist, state)
+        return self._sent(before, known, state, (known.caution * v, known.caution * omega), dt)
+
+    def _sent(
+        self, before: Memory[State], known: KnownPose | None, state: State | None, asked: Command, dt: float
+    ) -> Memory[State]:
+        left, right = self._wheels.speeds(*asked).tolist()
+        sent = _within((left, right), before.sent, self._acceleration * dt)
+        v, _, omega = self._twist(*sent)
+        return Memory(known, state, asked, sent, (v, omega))
+
+
+def _within(asked: Command, before: Command, change: float) -> Command:
+    """Rim speeds on the straight way from those before to those asked for, none changed by more than that [m/s]."""
+    left, right = asked[0] - before[0], asked[1] - before[1]
+    most = max(abs(left), abs(right))
+    if most <= change:
+        return asked
+    share = change / most
+    return before[0] + share * left, before[1] + share * right
