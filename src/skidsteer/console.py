@@ -23,6 +23,7 @@ from skidsteer.identify.circle_test import SideResult
 from skidsteer.identify.design import Design
 from skidsteer.identify.select import Excess, Selection
 from skidsteer.identify.terrain import Terrains
+from skidsteer.plan.circumnavigation import Plan
 from skidsteer.reproduce.rows import Reproduction, tally
 from skidsteer.reproduce.rows import Table as SideBySide
 
@@ -359,3 +360,33 @@ def _told(design: Design) -> Table:
     for column in table.columns[1:4]:
         column.justify = "right"
     return table
+
+
+def show_plan(plan: Plan) -> None:
+    """Stretches of a lap with their rim speeds, how far the robot keeps off the obstacle, and where it ends."""
+    coded, obstacle, laps = plan.driver.encoding is not None, plan.obstacle, plan.request.laps
+    OUT.print(f"[bold]{escape(plan.driver.vehicle.name)}[/bold] by {plan.driver.model.NAME}: round")
+    OUT.print(f"{obstacle.length:g} x {obstacle.width:g} m on its {plan.request.side}, from rest at A, on")
+    again = f", {laps} laps" if laps > 1 else ""
+    OUT.print(f"arcs of {plan.radius:.3f} m{again}:")
+    titles = ["stretch", "start s", "lasts s", "way m", "radius m", "left m/s", "right m/s"]
+    table = Table(*titles, *(["k left", "k right"] if coded else []), box=None, pad_edge=False)
+    for t, s in list(zip(plan.starts.tolist(), plan.stretches, strict=True))[:4]:
+        radius = f"{s.radius:.3f}" if s.curved else ""
+        speeds = [f"{v:.3f}" for v in s.rims]
+        table.add_row(s.name, f"{t:.2f}", f"{s.duration:.2f}", f"{s.length:.3f}", radius, *speeds, *map(str, s.k or ()))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    OUT.print(table)
+    (x, y, yaw), missed = plan.end_sigmas, plan.misses
+    if coded:
+        bend = plan.stretches[1].radius - plan.radius
+        OUT.print(
+            f"Whole k alone make the arcs {bend:+.3f} m wider and end the course {np.hypot(*missed[:2]):.3f} m and"
+        )
+        OUT.print(f"{np.degrees(missed[2]):.1f} deg off.")
+    OUT.print(f"Keeps {plan.gaps.min():.3f} m off the obstacle, at each place 19 robots of 20 {plan.sure_gap:.3f} m.")
+    OUT.print(f"Ends {np.hypot(*plan.end[:2]):.3f} m from the start; sigma {x:.3f} m ahead, {y:.3f} m to the side,")
+    OUT.print(f"{np.degrees(yaw):.1f} deg.")
+    for note in plan.notes:
+        OUT.print(f"[yellow]Note:[/yellow] {escape(note)}.")

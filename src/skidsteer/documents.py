@@ -19,6 +19,8 @@ from skidsteer.identify.circle_test import SideResult, SurfaceResult
 from skidsteer.identify.design import Design
 from skidsteer.identify.select import Selection
 from skidsteer.identify.terrain import Terrains
+from skidsteer.plan.circumnavigation import Plan
+from skidsteer.plan.stretches import Stretch
 from skidsteer.reproduce.figure import Curve
 from skidsteer.reproduce.rows import Reproduction, tally
 
@@ -182,6 +184,44 @@ def design_document(design: Design) -> Document:
         "controller_width_m": design.controller.track_width,
         "limits": asdict(design.limits),
         "noise": asdict(design.setup.noise),
+    }
+
+
+def plan_document(plan: Plan) -> Document:
+    """What ``plan --json`` prints."""
+    return {
+        "vehicle": plan.driver.vehicle.name,
+        "model": plan.driver.model.NAME,
+        "direction": plan.request.side,
+        "laps": plan.request.laps,
+        "radius_m": plan.radius,
+        "obstacle": {"length_m": plan.obstacle.length, "width_m": plan.obstacle.width, "pose": plan.place.tolist()},
+        "footprint_m": [plan.robot.length, plan.robot.width],
+        "stretches": [_stretch(float(t), s) for t, s in zip(plan.starts, plan.stretches, strict=True)],
+        "duration_s": float(plan.starts[-1] + plan.stretches[-1].duration),
+        "clearance_m": {"asked": plan.request.clearance, "least": float(plan.gaps.min()), "least_95": plan.sure_gap},
+        "end": {
+            "pose": plan.end.tolist(),
+            "sigma_ahead_m": plan.end_sigmas[0],
+            "sigma_left_m": plan.end_sigmas[1],
+            "sigma_yaw_rad": plan.end_sigmas[2],
+            "rounding_misses": plan.misses.tolist() if plan.driver.encoding else None,
+        },
+        "warnings": list(plan.notes),
+    }
+
+
+def _stretch(start: float, stretch: Stretch) -> Document:
+    return {
+        "name": stretch.name,
+        "start_s": start,
+        "duration_s": stretch.duration,
+        "radius_m": stretch.radius,
+        "length_m": stretch.length,
+        "asked_m_s": stretch.asked.tolist(),
+        "k": None if stretch.k is None else list(stretch.k),
+        "rims_m_s": stretch.rims.tolist(),
+        "twist": stretch.twist.tolist(),
     }
 
 

@@ -10,7 +10,7 @@ from scipy.stats import f as fisher
 from skidsteer.drive import Series
 from skidsteer.models import Model
 from skidsteer.noise import Noise, residuals
-from skidsteer.se2 import FloatArray, exp, invert, log
+from skidsteer.se2 import FloatArray, chain, exp, invert, log
 from skidsteer.windows import Timing, Windows, linearize, steps
 
 SUBSTEPS = 10  # of a window, in which the motion noise enters
@@ -51,6 +51,43 @@ class Uncertainty:
 
     noise: Noise
     covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """Expected poses from a start, and the covariances of each in its own body frame, by what they come from."""
+
+    path: Series  # (n, 3)
+    of_parameters: FloatArray  # (n, 3, 3) model and lag: the same error all along
+    of_motion: FloatArray  # (n, 3, 3) motion noise
+
+    @property
+    def covariances(self) -> FloatArray:
+        """(n, 3, 3) of both."""
+        return self.of_parameters + self.of_motion
+
+
+def forecast(model: Model, wheels: Series, t: FloatArray, lag: float, uncertainty: Uncertainty) -> Forecast:
+    """Where a model drives to from the origin, and how far each pose may be off: parameters, lag and motion noise.
+
+    Args:
+        model: that predicts.
+        wheels: (m, 2) rim speeds [m/s].
+        t: (n + 1,) [s] increasing, within those of the wheels; the robot is at the origin at the first.
+        lag: [s] with which the body follows the rims.
+        uncertainty: its time offset does not matter: times are those of the wheels.
+    """
+    windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
+    cut = steps(wheels, windows, Timing(0.0, lag))
+    motion, jacobian = linearize(model, cut)
+    rolled = residuals(model, windows, cut, motion).rolled
+    F, Q = _transition(motion), motion_covariance(motion, rolled, uncertainty.noise)
+    by_parameters = _rotation(-motion[:, 2]) @ np.delete(jacobian, -2, axis=2)
+    known = np.delete(np.delete(uncertainty.covariance, -2, axis=0), -2, axis=1)
+    P, J = np.zeros((len(t), 3, 3)), np.zeros((len(t), *by_parameters.shape[1:]))
+    for i in range(len(motion)):
+        P[i + 1], J[i + 1] = F[i] @ P[i] @ F[i].T + Q[i], F[i] @ J[i] + by_parameters[i]
+    return Forecast(Series(t, chain(motion), "path"), J @ known @ np.swapaxes(J, 1, 2), P)
 
 
 def squared_distances(
