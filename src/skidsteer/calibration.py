@@ -10,6 +10,7 @@ import numpy as np
 from skidsteer.errors import RequestError
 from skidsteer.metrics import Spread, WindowErrors, median_interval
 from skidsteer.models import MatrixModel, Model
+from skidsteer.multipliers import Projection
 from skidsteer.noise import Noise
 from skidsteer.prediction import Regions, Uncertainty
 from skidsteer.se2 import FloatArray
@@ -114,6 +115,14 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
+class Controller:
+    """What the differential drive controller of ROS 2 can know of the model, and its errors on held-out windows."""
+
+    projection: Projection
+    held_out: HeldOut | None  # None: too short to hold anything out
+
+
+@dataclass(frozen=True, slots=True)
 class DriveRecord:
     """Which drive a calibration was made from."""
 
@@ -156,6 +165,7 @@ class Calibration:
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
     regions: Regions | None = None  # of end poses after ``window`` seconds; None: too few held-out windows
     observability: Observability | None = None  # None: not judged
+    controller: Controller | None = None  # None: not looked at
     profiles: Mapping[str, Calibration] = field(default_factory=dict)  # one for each ground; the same model on each
 
     def __post_init__(self) -> None:

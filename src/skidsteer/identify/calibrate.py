@@ -15,6 +15,7 @@ from skidsteer.doctor import EXCITATION, Finding, examine, fix
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.alignment import is_turned
+from skidsteer.identify.as_controller import as_controller
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
 from skidsteer.identify.holdout import HeldOutErrors, held_out
 from skidsteer.identify.judged import is_determined
@@ -110,6 +111,7 @@ def calibrate(
         held_out={name: HeldOut.of(e.errors, block=e.block) for name, e in judged.items()},
         regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
         observability=verdict,
+        controller=as_controller(found.model, drives, judged.get(chosen), options.window),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +21,11 @@ SHORTEST_BLOCK = 4.0  # [s]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutErrors:
-    """Errors of one model on held-out windows, and the block (k,) that each window lies in."""
+    """Errors of one model on held-out windows, the block (k,) that each window lies in, and the fits."""
 
     errors: WindowErrors
     block: np.ndarray
+    folds: Folds
 
 
 def block_edges(drive: Drive) -> FloatArray:
@@ -100,14 +102,21 @@ def held_out(
     return None if folds is None else held_out_errors(folds, drives, length)
 
 
-def held_out_errors(folds: Folds, drives: list[Drive], length: float = 2.0) -> HeldOutErrors:
-    """Errors on the judging windows of ``length`` [s], each predicted by the fit that has not seen its block."""
+def held_out_errors(
+    folds: Folds, drives: list[Drive], length: float = 2.0, form: Callable[[Model], Model] | None = None
+) -> HeldOutErrors:
+    """Errors on the judging windows of ``length`` [s], each predicted by the fit that has not seen its block.
+
+    With ``form`` its model is forced into another form first; such a prediction has no covariance.
+    """
     errors, blocks = [], []
     for fold, found in enumerate(folds.fits):
+        model = found.model if form is None else form(found.model)
         for i, drive in enumerate(drives):
-            judged = window_errors(found.model, drive, found.timings[i], length, found.mount, found.uncertainty(i))
+            uncertainty = found.uncertainty(i) if form is None else None
+            judged = window_errors(model, drive, found.timings[i], length, found.mount, uncertainty)
             first, last = folds.block(i, judged.start), folds.block(i, np.nextafter(judged.end, -np.inf))
             test = (first % 2 == fold) & (first == last)
             errors.append(judged.where(test))
             blocks.append(1000 * i + first[test])
-    return HeldOutErrors(WindowErrors.join(errors), np.concatenate(blocks))
+    return HeldOutErrors(WindowErrors.join(errors), np.concatenate(blocks), folds)

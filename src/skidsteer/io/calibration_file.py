@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from skidsteer.calibration import (
     Calibration,
+    Controller,
     DriveRecord,
     Estimate,
     HeldOut,
@@ -26,6 +27,7 @@ from skidsteer.io.text_file import decode, read_bytes
 from skidsteer.io.vehicle_file import VehicleFile
 from skidsteer.metrics import Spread
 from skidsteer.models import MODELS
+from skidsteer.multipliers import Multipliers, Projection
 from skidsteer.noise import Noise
 from skidsteer.prediction import Regions
 from skidsteer.vehicle import Vehicle
@@ -107,6 +109,26 @@ class _Observability(_Strict):
     advice: list[str]
 
 
+class _Multipliers(_Strict):
+    left_wheel_radius_multiplier: float
+    right_wheel_radius_multiplier: float
+    wheel_separation_multiplier: float
+    track_width: float
+
+
+class _Projection(_Strict):
+    multipliers: _Multipliers
+    x: float
+    y: float
+    rim_speed: float
+    yaw_rate: float
+
+
+class _Controller(_Strict):
+    projection: _Projection
+    held_out: _HeldOut | None = None
+
+
 class _DriveRecord(_Strict):
     name: str
     source: str
@@ -137,6 +159,7 @@ class _Body(_Strict):
     held_out: dict[str, _HeldOut]
     regions: _Regions | None = None
     observability: _Observability | None = None
+    controller: _Controller | None = None
     provenance: _Provenance
 
 
@@ -181,6 +204,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         "held_out": {name: _plain(_without_none(asdict(h))) for name, h in calibration.held_out.items()},
         "regions": None if calibration.regions is None else asdict(calibration.regions),
         "observability": None if calibration.observability is None else _plain(asdict(calibration.observability)),
+        "controller": None if calibration.controller is None else _controller_content(calibration.controller),
         "provenance": {
             "software": provenance.software,
             "created": provenance.created,
@@ -188,6 +212,11 @@ def _content(calibration: Calibration) -> dict[str, Any]:
             "options": dict(provenance.options),
         },
     }
+
+
+def _controller_content(controller: Controller) -> dict[str, Any]:
+    held_out = None if controller.held_out is None else _plain(_without_none(asdict(controller.held_out)))
+    return {"projection": asdict(controller.projection), "held_out": held_out}
 
 
 def _plain(content: Any) -> Any:
@@ -264,7 +293,17 @@ def _calibration(file: _Body) -> Calibration:
         held_out={name: _held_out(h) for name, h in file.held_out.items()},
         regions=None if file.regions is None else Regions(**file.regions.model_dump()),
         observability=None if file.observability is None else _observability(file.observability),
+        controller=None if file.controller is None else _controller(file.controller),
     )
+
+
+def _controller(file: _Controller) -> Controller:
+    known = file.projection
+    if not np.isfinite([known.x, known.y, known.rim_speed, known.yaw_rate]).all():
+        raise ValueError("controller.projection: must be finite")
+    multipliers = Multipliers(**known.multipliers.model_dump())
+    projection = Projection(multipliers, known.x, known.y, known.rim_speed, known.yaw_rate)
+    return Controller(projection, None if file.held_out is None else _held_out(file.held_out))
 
 
 def _observability(file: _Observability) -> Observability:

@@ -1,0 +1,38 @@
+"""YAML with comments, in which no name can break out of its place."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from typing import Any
+
+import yaml
+
+WIDTH = 100
+
+
+def comment(*paragraphs: str) -> str:
+    """Paragraphs as lines of comment; whatever is no printable character becomes a question mark.
+
+    A paragraph that begins with a space is kept as it is, as a row of a table or a command to copy.
+    """
+    lines: list[str] = []
+    for paragraph in map(printable, paragraphs):
+        is_row = not paragraph or paragraph.startswith(" ")
+        lines += [paragraph] if is_row else textwrap.wrap(paragraph, WIDTH - 2, break_long_words=False)
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines)
+
+
+def printable(text: str) -> str:
+    """The text on one line: line breaks of all kinds, control characters and lone surrogates are replaced."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def mapping(content: dict[str, Any]) -> str:
+    """A mapping as YAML, in its own order, with lists on one line."""
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=WIDTH)
+
+
+def rounded(values: Iterable[float], digits: int = 6) -> list[float]:
+    """Numbers to some digits: ROS takes ``1`` for an integer and refuses it, ``1.0`` is what these are written as."""
+    return [float(f"{value:.{digits}g}") for value in values]
