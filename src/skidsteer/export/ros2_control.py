@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from math import hypot, isfinite
+from shlex import quote
 
 from skidsteer.calibration import Calibration, HeldOut
 from skidsteer.export.covariances import DISTANCE, covariances
@@ -93,8 +94,8 @@ def _loss(calibration: Calibration, forced: Forced, settings: Settings) -> str:
     lost = (
         "What is lost: the controller knows no sideways velocity, no asymmetry, no change with speed. Its odometry is"
         f" that of the point x = {found.x:.3f} m, y = {found.y:.3f} m of base_link. Taken for base_link itself it is"
-        f" wrong by {ahead:.3f} m/s ahead and {sideways:.3f} m/s sideways at {found.yaw_rate:.2g} rad/s, which adds up to"
-        f" {2.0 * hypot(found.x, found.y):.3f} m at most, however far it drives.{linear}"
+        f" wrong by {ahead:.3f} m/s ahead and {sideways:.3f} m/s sideways at {found.yaw_rate:.2g} rad/s, which adds up"
+        f" to {2.0 * hypot(found.x, found.y):.3f} m at most, however far it drives.{linear}"
     )
     return comment(lost, *_figures(calibration, forced.measured), *_frame(found, settings))
 
@@ -138,7 +139,7 @@ def _frame(found: Projection, settings: Settings) -> tuple[str, ...]:
     return (
         f"The odometry is of the frame {settings.icr_frame} at that point. The tree of frames needs it once, and no"
         " odom transform from the controller: robot_localization gives that of base_link.",
-        f"{command} --frame-id base_link --child-frame-id {settings.icr_frame}",
+        f"{command} --frame-id base_link --child-frame-id {quote(settings.icr_frame)}",
     )
 
 
@@ -159,13 +160,14 @@ def _share(multipliers: Multipliers) -> float:
 def _noise(calibration: Calibration, found: Projection, settings: Settings) -> str:
     noise = calibration.noise
     known = covariances(calibration, found, settings.rate, settings.icr_frame is not None)
+    lost = f" It holds what is lost at {found.yaw_rate:.2g} rad/s, too." if settings.icr_frame is None else ""
     raised = f", raised {known.raised:.2g}-fold to what held-out windows show" if calibration.regions else ""
     return comment(
         f"Covariances: the motion's error grows by {noise.walk:.3g} m and {noise.turn:.3g} rad in a metre rolled, with"
         f" the root of the distance{raised}. That of the twist is for each of {settings.rate:g} messages a second at"
         f" {found.rim_speed:.2g} m/s of the rims, with errors independent from message to message: it goes with rate"
-        f" and speed. It holds what is lost at {found.yaw_rate:.2g} rad/s, too. That of the pose is after {DISTANCE:g} m"
-        " straight on; the true one grows without end: fuse velocities, not the pose."
+        f" and speed.{lost} That of the pose is after {DISTANCE:g}"
+        " m straight on; the true one grows without end: fuse velocities, not the pose."
     )
 
 
