@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def calibrate(
     source: Source,
     drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE...", help=DRIVE_HELP)] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml there")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml and exports there")] = None,
     model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
     method: Annotated[str, typer.Option(help="least-squares, genetic (Mandow 2007) or circle-test")] = "least-squares",
     window: Window = 2.0,
@@ -156,7 +156,9 @@ def check(
 
 
 def _write(calibration: Calibration, out: Path | None) -> None:
+    from skidsteer.export import write_all
     from skidsteer.io.calibration_file import save_calibration
 
     if out is not None:
         save_calibration(calibration, folder(out) / "calibration.yaml")
+        write_all(calibration, out)
