@@ -13,7 +13,8 @@ from skidsteer.errors import RequestError
 from skidsteer.identify.excursion import expected_model, trajectory
 from skidsteer.models import MODELS, Differential, Icr, Model
 from skidsteer.noise import Noise
-from skidsteer.plan.circumnavigation import Driver, Plan, Request, circumnavigate
+from skidsteer.plan.circumnavigation import Plan, Request, circumnavigate
+from skidsteer.plan.driver import Driver
 from skidsteer.plan.encoding import ENCODINGS, Encoding
 from skidsteer.plan.outline import Rectangle, gap
 from skidsteer.plan.slip_table import SlipTable

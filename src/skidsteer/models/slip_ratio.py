@@ -8,7 +8,7 @@ This is a description of runs, not a motion model, and stands in no list of mode
 yaw rate jumps where the sides change their parts (K_s = 1 is an ideal drive), so that equal speeds turn the robot, left
 or right at will, and above v_i = v_o / K_s it would turn to the wrong side. The paper's own runs show it: with the 2.5
 that K_s settles at indoors, run 1L (0.632 and 0.410 m/s) would curve to the right. K_s is constant in tight curves
-only; between two of them ``rims_on_circle`` plans with the K_s of the nearest run, as the paper's section V does.
+only; a plan takes it from the runs about as wide as the arc (``skidsteer.plan.slip_table``).
 
 Slip coefficients are positive where a wheel spins and negative where it is dragged. The inner side of a skid-steer
 robot is dragged: Table 4 prints the magnitudes of negative coefficients (with the sign as printed, a robot with 100 %

@@ -14,60 +14,21 @@ import numpy as np
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from skidsteer.calibration import Calibration
 from skidsteer.drive import Series
 from skidsteer.errors import RequestError
-from skidsteer.models import Model
-from skidsteer.noise import Noise
-from skidsteer.plan.encoding import ENCODINGS, Encoding
+from skidsteer.plan.driver import Driver
 from skidsteer.plan.outline import Rectangle, footprint, gap, gap_slope
 from skidsteer.plan.slip_table import SlipTable
 from skidsteer.plan.stretches import REST, Stretch, commands, poses_of, stretch
-from skidsteer.prediction import Forecast, Regions, Uncertainty, forecast
+from skidsteer.prediction import Forecast, forecast
 from skidsteer.se2 import FloatArray, compose, rotate
 from skidsteer.simulate import controller
-from skidsteer.vehicle import Vehicle
 
 SURE = 0.95
-NORMAL = Regions(1.0, 1e6)
 SPACING = 0.1  # [s] between the poses looked at, at most
 TRIES = 20  # of radii
 CLOSE = 1e-4  # [m] by which the clearance may be missed
 MOST_LAPS = 100
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Driver:
-    """What is known of a robot: its model, how sure that is, and the integers that it takes."""
-
-    vehicle: Vehicle
-    model: Model
-    uncertainty: Uncertainty
-    lag: float = 0.0  # [s]
-    regions: Regions = NORMAL
-    encoding: Encoding | None = None
-    open: tuple[str, ...] = ()  # parameters that are not determined
-
-    @classmethod
-    def of(cls, calibration: Calibration) -> Driver:
-        """By a calibration."""
-        names = [*calibration.parameters, "", "lag"]  # a time offset does not matter
-        at = [calibration.names.index(n) if n in calibration.names else -1 for n in names]
-        padded = np.pad(calibration.covariance, (0, 1))  # what was given is known exactly
-        return cls(
-            calibration.vehicle,
-            calibration.model,
-            Uncertainty(calibration.noise, padded[np.ix_(at, at)]),
-            calibration.timing.lag,
-            calibration.regions or NORMAL,
-            ENCODINGS.get(calibration.vehicle.name),
-            tuple(name for name, e in calibration.parameters.items() if not e.determined),
-        )
-
-    @classmethod
-    def of_circles(cls, table: SlipTable, vehicle: Vehicle) -> Driver:
-        """By the slip ratios of circle runs, which tell neither lag nor noise: that is assumed."""
-        return cls(vehicle, table, Uncertainty(Noise(), np.zeros((2, 2))), encoding=ENCODINGS.get(vehicle.name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +194,7 @@ def circumnavigate(driver: Driver, request: Request, robot: Rectangle | None = N
             raise RequestError(
                 f"arcs of {request.radius:g} m leave {max(left, 0.0):.3f} m between the outline of {robot.length:g} x"
                 f" {robot.width:g} m and the obstacle, and --clearance asks for {request.clearance:g} m; give a"
-                f" --radius of at least {request.radius + request.clearance - left:.2f} m"
+                f" --radius of at least {math.ceil(100.0 * (request.radius + request.clearance - left)) / 100.0:g} m"
             )
     else:
         plan = _narrowest(plan_at, request, robot)

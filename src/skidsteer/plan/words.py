@@ -9,7 +9,7 @@ from skidsteer.identify.circle_test import runs_on
 from skidsteer.io.calibration_file import load_calibration
 from skidsteer.io.circle_runs import circle_table
 from skidsteer.io.folder import vehicle as find_vehicle
-from skidsteer.plan.circumnavigation import Driver
+from skidsteer.plan.driver import Driver
 from skidsteer.plan.outline import Rectangle
 from skidsteer.plan.slip_table import SlipTable
 

@@ -1,13 +1,19 @@
-"""Giannoccaro 2015, "Kinematic trajectories reconstruction", IJSSIS 8: Tables 1, 3, 4, 5 from Table 2."""
+"""Giannoccaro 2015, "Kinematic trajectories reconstruction", IJSSIS 8: Tables 1, 3, 4, 5 from Table 2; section V."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from skidsteer.identify.circle_test import runs_on, side_result
-from skidsteer.models.slip_ratio import CircleRun, Side
-from skidsteer.reproduce.rows import Reproduction, Row, compared
+from skidsteer.models.slip_ratio import CircleRun, Side, slip_ratio
+from skidsteer.plan.circumnavigation import Plan, circumnavigate
+from skidsteer.plan.driver import Driver
+from skidsteer.plan.slip_table import SlipTable
+from skidsteer.reproduce.figure import Curve, Figure
+from skidsteer.reproduce.rover_course import CODE, FLOORS, RADIUS, TURN, WAYS, laps, paper_request
+from skidsteer.reproduce.rows import Place, Reproduction, Row, compared, stands_in
 from skidsteer.samples import ROVER_DRAGS, rover_runs
+from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import preset
 
 TRACK_WIDTH = preset("rover-4wd1").track_width  # [m] as it follows from both rows of Table 3
@@ -26,16 +32,32 @@ TABLE_5 = {  # K_s of 1L to 5L, 1R to 5R
 COPIED = ("3L", "4L", "5L")  # outdoors
 TABLE_1 = {20: 191.0, 40: 410.0, 60: 632.0, 80: 957.0, 100: 1059.0, 120: 1249.0}  # command k -> rim speed [mm/s]
 TOLERANCE = 0.05  # of K_s
+PLAN_K = (26, 65)  # of the inner and the outer side on the arcs of section V
+
+
+HOW = {"slip ratio": "the slips of circles about as wide", "ICR model": "one ICR distance for all of them"}
+PLACES = (
+    Place("Table 1", "integers k and rim speeds of the runs"),
+    Place("Table 2", "measured radii", "measured; Tables 3 and 5 are calculated from it"),
+    Place("Table 3", "equivalent carriageway and slippage index"),
+    Place("Table 4", "slip of the inner side"),
+    Place("Table 5", "slipping ratio K_s"),
+    Place("Fig. 5", "angular speed by k", "its points are not printed; see Table 1"),
+    Place("Fig. 8", "repetitions of the runs", "the single radii are not printed"),
+    Place("Fig. 9", "radii of three surfaces", "drawn from Table 2"),
+    Place("Fig. 10", "obstacle and course"),
+    Place("Fig. 11", "ends of five laps"),
+)
 
 
 def reproduction() -> Reproduction:
-    """Everything that can be calculated."""
-    return Reproduction(rows())
+    """Everything, calculated and simulated."""
+    return Reproduction((*rows(), *driven_rows()), (laps_figure(),), places=PLACES)
 
 
 def rows() -> tuple[Row, ...]:
     """Every figure of the paper that can be checked by calculation."""
-    return (*table_1_rows(), *table_3_rows(), *table_4_rows(), *table_5_rows(), _speed_row())
+    return (*table_1_rows(), *table_3_rows(), *table_4_rows(), *table_5_rows(), _speed_row(), *plan_rows())
 
 
 def table_1_rows() -> tuple[Row, ...]:
@@ -97,3 +119,74 @@ def _speed_row() -> Row:
     radius = preset("rover-4wd1").wheel_radius
     reason = f"10.5 rad/s times the diameter; the radius is {radius} m, and Table 1 has {TABLE_1[60]:.0f} mm/s"
     return Row("linear velocity at k = 60 [m/s], section V", 1.26, 10.5 * radius, "corrected", reason)
+
+
+# Section V
+
+
+def indoor_plan() -> Plan:
+    """The course of Fig. 10 by the indoor runs as printed."""
+    table = SlipTable(runs_on(rover_runs(), "indoor"), TRACK_WIDTH)
+    return circumnavigate(Driver.of_circles(table, preset("rover-4wd1")), paper_request())
+
+
+def plan_rows() -> tuple[Row, ...]:
+    """Length and integers of the course of section V."""
+    straight, arc = indoor_plan().stretches[:2]
+    length = 200.0 * (straight.amount + arc.amount * RADIUS)
+    straight_k, (inner, outer) = straight.k or (0, 0), arc.k or (0, 0)
+    why = _integers()
+    return (
+        compared("length of the course [cm], Fig. 10", 815.48, length, 0.01),
+        compared("k on the straights, section V", 60, straight_k[0], 1.0, "to one step: 0.63 m/s is k = 60.6"),
+        Row("k of the outer side on the arcs, section V", PLAN_K[1], outer, "cannot be reproduced", why),
+        Row("k of the inner side on the arcs, section V", PLAN_K[0], inner, "cannot be reproduced", why),
+    )
+
+
+def _integers() -> str:
+    """What the printed integers of the arcs would mean."""
+    inner, outer = CODE.speeds(PLAN_K).tolist()
+    ratio = float(slip_ratio(outer, inner, RADIUS, TRACK_WIDTH))
+    slip = 1.0 - TURN * (RADIUS + 0.5 * TRACK_WIDTH) / outer
+    second, third = (run.slip_ratio(TRACK_WIDTH) or 0.0 for run in runs_on(rover_runs(), "indoor")[1:3])
+    slips = [s[1] for run in runs_on(rover_runs(), "indoor")[1:3] if (s := run.slip_coefficients(TRACK_WIDTH))]
+    return (
+        f"{PLAN_K[1]} and {PLAN_K[0]} on an arc of {RADIUS:g} m mean K_s = {ratio:.2f} by Eq. (15), and at {TURN:g}"
+        f" rad/s an outer slip of {slip:.2f}; ours are interpolated between 2L and 3L, K_s {second:.2f} and"
+        f" {third:.2f}, outer slips {slips[0]:.2f} and {slips[1]:.2f} by Tables 2, 4 and 5; which ones were taken is"
+        " not said"
+    )
+
+
+def driven_rows() -> tuple[Row, ...]:
+    """Ends of laps of simulated rovers, each calibrated by circles on its own floor."""
+    return tuple(_lap_row(name, way) for name in FLOORS for way in WAYS)
+
+
+def _lap_row(name: str, way: str) -> Row:
+    done = laps(name, way)
+    errors, integers = done.errors, sorted({plan.stretches[1].k or (0, 0) for plan in done.plans})
+    clear = min(float(np.min(plan.gaps)) for plan in done.plans)
+    words = ", ".join(f"{outer} and {inner}" for inner, outer in integers)
+    reason = (
+        f'"a few centimetres" in five laps; ours end {errors.min():.3f} to {errors.max():.3f} m off, with k = {words}'
+        f" on the arcs, each planned from ten circles on the same floor by {HOW[way]}; {clear:.2f} m off the"
+        " obstacle"
+    )
+    what = f"mean end error [m] of laps planned by {way}, {name} plant, Fig. 11"
+    return stands_in(what, float("nan"), float(errors.mean()), reason)
+
+
+def laps_figure() -> Figure:
+    """Counterpart of Fig. 11 a)."""
+    planned = laps("terramechanic", "slip ratio").plans[0]
+    lines = {"planned": planned.expected.path.values, "obstacle": _outline(planned)}
+    lines |= {f"{name} plant, by {way}": laps(name, way).paths[0] for name in FLOORS for way in WAYS}
+    curves = tuple(Curve(label, line[:, 0], line[:, 1]) for label, line in lines.items())
+    return Figure("figure-11", "Laps of simulated rovers", "x [m]", "y [m]", curves, to_scale=True)
+
+
+def _outline(plan: Plan) -> FloatArray:
+    corners = plan.obstacle.at(plan.place)
+    return np.concatenate([corners, corners[:1]])
