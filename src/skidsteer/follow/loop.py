@@ -12,6 +12,7 @@ from skidsteer.control import Command, Controller, PathError, PathState, Wheels,
 from skidsteer.control.path_state import State
 from skidsteer.errors import RequestError
 from skidsteer.follow.driver import STANDING, Driver, Memory
+from skidsteer.follow.refusals import refuse_path, refuse_start
 from skidsteer.follow.run import Run
 from skidsteer.follow.sensing import IDEAL, Localization, Sensing, Triple, twist_meter
 from skidsteer.paths import Path
@@ -85,8 +86,10 @@ def follow(
         Every sample, and how it ended: arrived, laps done, lost the path, tipped over, stands still, time is up.
 
     Raises:
-        RequestError: a step that the plant cannot simulate.
+        RequestError: a path or a start that cannot be driven, or a step that the plant cannot simulate.
     """
+    refuse_path(path, wheels)
+    refuse_start(path, rolling.state[:3], ends.off)
     driver = Driver(controller, wheels, path, acceleration)
     localization, meter = Localization(sensing, seed), twist_meter(wheels.model, sensing, seed)
     memory: Memory[State] = Memory()

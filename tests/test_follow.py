@@ -1,0 +1,409 @@
+"""The closed loop: what it must do whatever the controller, the plant and the sensors."""
+
+import math
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import control_loop
+from control_loop import PLANT
+from skidsteer.control import (
+    Controller,
+    Huskic,
+    PathState,
+    Pentzer,
+    PurePursuit,
+    SaturationSpeed,
+    Soetanto,
+    Wheels,
+    huskic,
+    pentzer,
+    soetanto,
+)
+from skidsteer.errors import DataError, RequestError
+from skidsteer.follow import Ends, Jump, Run, Sensing, follow, summarize
+from skidsteer.follow.driver import Driver, Memory
+from skidsteer.follow.known_pose import GRACE, STAND, KnownPose
+from skidsteer.follow.sensing import Localization, twist_meter
+from skidsteer.models import Icr, ScheduledIcr
+from skidsteer.paths import Path, arc, clothoid, lemniscate, line, stadium
+from skidsteer.plants import begin, point_contacts
+from skidsteer.rolling import OverturnedError, RollingModel
+from skidsteer.se2 import FloatArray, compose, exp
+from skidsteer.terramechanics.terrain import parse_ground
+from skidsteer.vehicle import preset
+
+engine = pytest.mark.skipif(find_spec("mujoco") is None, reason="mujoco is not installed")
+SUMMIT = preset("summit-xl")
+GRASS = parse_ground("grass")
+PLANTS = ["kinematic", "terramechanic", pytest.param("mujoco", marks=engine)]
+WHEELS = Wheels(PLANT, 1.2)
+EIGHT = lemniscate(5.0)
+
+
+def controllers(wheels: Wheels, speed: float = 1.0) -> dict[str, Controller[PathState]]:
+    return {
+        "huskic": Huskic(huskic.GAINS["launch"], SaturationSpeed(wheels, speed)),
+        "soetanto": Soetanto(soetanto.GAINS["launch"], speed),
+        "pentzer": Pentzer(pentzer.GAINS["published"], speed, feed_forward=True),
+        "pure_pursuit": PurePursuit(desired_linear_vel=speed),
+    }
+
+
+LAWS = pytest.mark.parametrize("law", list(controllers(WHEELS)))
+
+
+def driven(law: str, path: Path, start: object = None, lag: float = 0.0, **options: object) -> Run:
+    at = path.robot(0.0) if start is None else start
+    return follow(RollingModel(PLANT, at, lag), controllers(WHEELS)[law], WHEELS, path, **options)  # type: ignore[arg-type]
+
+
+# Against the loop of the controllers' tests
+
+
+@LAWS
+def test_without_lag_and_delay_it_is_the_exact_kinematics(law: str) -> None:
+    start = compose(EIGHT.robot(0.0), (0.1, 0.2, -0.3))
+    expected = control_loop.follow(controllers(WHEELS)[law], WHEELS, EIGHT, start, 3.0)
+    run = driven(law, EIGHT, start, ends=Ends(time=3.0))
+    n = len(expected.poses)
+    assert run.outcome == "time is up"
+    assert_allclose(run.states[:n, :3], expected.poses, atol=1e-9)
+    assert_allclose(run.sent[:n], expected.rims, atol=1e-9)
+    assert_allclose(run.cross_track[:n], expected.aside, atol=1e-9)
+    assert_array_equal(run.placed, run.states[:, :3])
+    assert_array_equal(run.seen, run.placed)
+
+
+def test_errors_are_those_of_the_path() -> None:
+    run = driven("pentzer", EIGHT, compose(EIGHT.robot(0.0), (0.0, 0.3, 0.4)), lag=0.2, ends=Ends(laps=2.0))
+    expected = EIGHT.error(run.placed, run.s)
+    assert_allclose(run.cross_track, expected[:, 1], atol=1e-12)
+    assert_allclose(run.heading_error, expected[:, 2], atol=1e-12)
+    assert_allclose(np.abs(expected[:, 0]), 0.0, atol=1e-9)
+    assert run.s[-1] - run.s[0] == pytest.approx(2.0 * EIGHT.length, abs=0.03)
+
+
+# How it ends
+
+
+@LAWS
+@pytest.mark.parametrize("reverse", [False, True])
+def test_it_arrives_at_the_end_of_a_path(law: str, reverse: bool) -> None:
+    path = clothoid(4.0, 0.0, 0.2)
+    path = path.in_reverse() if reverse else path
+    run = driven(law, path, lag=0.1)
+    assert run.done
+    assert run.outcome == "arrived"
+    assert run.s[-1] > path.length - 0.26
+    assert np.abs(run.states[-1, 6:]).max() < 0.01
+
+
+@LAWS
+@pytest.mark.parametrize("name", PLANTS)
+def test_it_drives_its_laps_within_the_wheels_limits(law: str, name: str) -> None:
+    """Faster than the wheels allow, from aside, with a leap of the localization and an acceleration."""
+    believed, path = point_contacts(SUMMIT), lemniscate(5.0)
+    wheels, start = Wheels(believed, 1.1), compose(path.robot(0.0), (0.0, 0.3, 0.5))
+    sensing = Sensing(delay=0.05, position_sigma=0.01, yaw_sigma=0.01, gyro_sigma=0.01, jumps=(Jump(0.5, share=0.4),))
+    controller = controllers(wheels, 2.0)[law]
+    run = follow(begin(name, SUMMIT, GRASS, start, 0.1), controller, wheels, path, sensing, Ends(time=40.0), 4.0, 3)
+    assert run.done, run.reason
+    assert np.abs(run.sent).max() <= 1.1
+    assert np.abs(run.sent).max() > 1.05
+    assert np.abs(np.diff(run.sent, axis=0)).max() <= 4.0 * 0.02 * (1.0 + 1e-12)
+    assert np.abs(run.sent[0]).max() <= 4.0 * 0.02 * (1.0 + 1e-12)
+    assert summarize(run, 5.0).mean < 0.25
+
+
+def test_wheels_at_their_acceleration_go_straight_to_what_is_asked_for() -> None:
+    """By hand: at most 0.04 m/s a sample; both rims arrive together, and so keep the curvature on the way from rest."""
+
+    class Held:
+        begin = staticmethod(PathState.begin)
+
+        def command(self, pose: object, twist: object, state: PathState) -> tuple[float, float]:
+            return 0.5, 0.4
+
+        def advance(self, state: PathState, *_: object) -> PathState:
+            return state
+
+    driver = Driver(Held(), WHEELS, EIGHT, acceleration=2.0)  # type: ignore[arg-type]
+    asked, memory = WHEELS.speeds(0.5, 0.4), Memory()
+    for k in range(1, 30):
+        memory = driver.drive(memory, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)
+        assert_allclose(memory.sent, asked * min(1.0, 0.04 * k / asked.max()), atol=1e-12)
+        assert_allclose(memory.realised, PLANT.twist(*memory.sent)[[0, 2]], atol=1e-12)
+    assert memory.asked == (0.5, 0.4)
+
+
+def test_a_robot_that_loses_the_path_is_told_so() -> None:
+    blind = replace(controllers(WHEELS)["pure_pursuit"], use_rotate_to_heading=False)
+    path = line(20.0)
+    run = follow(RollingModel(PLANT, (0.0, 0.0, math.pi)), blind, WHEELS, path, ends=Ends(off=1.0))
+    assert (run.outcome, run.done) == ("lost the path", False)
+    assert run.reason.startswith("it is 1.0")
+    assert run.reason.endswith("more than 1 m")
+
+
+def test_a_robot_that_falls_over_ends_the_run() -> None:
+    class Falls(RollingModel):
+        def step(self, rims: object, dt: float) -> FloatArray:
+            if self.state[0] > 0.5:
+                raise OverturnedError("the robot falls over at 1 s; drive more gently")
+            return super().step(rims, dt)  # type: ignore[arg-type]
+
+    run = follow(Falls(PLANT), controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
+    assert (run.outcome, run.reason) == ("tipped over", "the robot falls over at 1 s; drive more gently")
+    assert run.states[-1, 0] > 0.5
+
+
+def test_a_robot_that_does_not_move_on_is_told_so() -> None:
+    class Lazy:
+        def __init__(self) -> None:
+            self.inner = controllers(WHEELS)["pentzer"]
+            self.begin, self.advance = self.inner.begin, self.inner.advance
+
+        def command(self, pose: object, twist: object, state: PathState) -> tuple[float, float]:
+            return (1.0, 0.0) if state.s < 2.0 else (0.0, 0.0)
+
+    run = follow(RollingModel(PLANT), Lazy(), WHEELS, line(5.0))  # type: ignore[arg-type]
+    assert run.outcome == "stands still"
+    assert run.t[-1] == pytest.approx(2.0 + 5.0, abs=0.1)
+
+
+# The pose
+
+
+def test_a_lost_pose_slows_the_robot_stops_it_and_lets_it_go_on() -> None:
+    path = line(12.0)
+    run = driven("pentzer", path, lag=0.05, sensing=Sensing(lost=((4.0, 6.0),)))
+    assert run.outcome == "arrived"
+    assert np.isnan(run.seen[(run.t >= 4.0) & (run.t < 6.0)]).all()
+    assert np.isfinite(run.seen[(run.t < 3.99) | (run.t > 6.0)]).all()
+    standing = (run.t > 4.0 + STAND + 0.01) & (run.t < 6.0)
+    assert_array_equal(run.sent[standing], 0.0)
+    slowing = (run.t > 4.0 + GRACE + 0.03) & (run.t < 4.0 + STAND)
+    assert (np.diff(run.sent[slowing].mean(axis=1)) < 0.0).all()
+    assert np.abs(run.states[run.t == 5.9][0, 6:]).max() < 1e-3
+    assert np.abs(run.cross_track).max() < 0.01  # reckoned for half a second, it stays on the line
+
+
+def test_short_gaps_are_reckoned_over() -> None:
+    """A pose every 0.1 s only, and on a curve."""
+    path = arc(2.0, 5.0)
+    gaps = tuple((0.1 * k + 0.01, 0.1 * k + 0.099) for k in range(200))
+    run, whole = (driven("pentzer", path, sensing=Sensing(lost=lost)) for lost in (gaps, ()))
+    assert run.outcome == "arrived"
+    assert run.t[-1] == pytest.approx(whole.t[-1], abs=0.1)
+    assert_allclose(run.states[:300, :3], whole.states[:300, :3], atol=1e-6)  # the model is the truth
+
+
+def test_no_pose_at_the_beginning_is_waited_for() -> None:
+    run = driven("huskic", line(3.0), sensing=Sensing(lost=((-1.0, 1.0),)))
+    assert run.outcome == "arrived"
+    assert_array_equal(run.sent[run.t < 0.99], 0.0)
+    assert run.sent[run.t > 1.05].max() > 0.5
+
+
+def test_a_pose_that_is_no_number_counts_as_none() -> None:
+    driver = Driver(controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
+    moving = driver.drive(Memory(), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)
+    for bad in ((math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), None):
+        after = driver.drive(moving, bad, (1.0, 0.0, 0.0), 0.04)
+        assert after.known == KnownPose((pytest.approx(1.04), 0.0, 0.0), 0.04)  # type: ignore[arg-type]
+        assert driver.drive(Memory(), bad, (0.0, 0.0, 0.0), 0.02).sent == (0.0, 0.0)
+    for _ in range(30):
+        moving = driver.drive(moving, None, (0.5, 0.0, 0.1), 0.02)
+    assert moving.sent == (0.0, 0.0)
+
+
+def test_no_time_changes_nothing() -> None:
+    for controller in controllers(WHEELS).values():
+        driver = Driver(controller, WHEELS, EIGHT, acceleration=2.0)
+        before = driver.drive(Memory(), tuple(EIGHT.robot(1.0).tolist()), (0.5, 0.0, 0.1), 0.02)
+        after = driver.drive(before, tuple(EIGHT.robot(1.0).tolist()), (0.5, 0.0, 0.1), 0.0)
+        assert after.state is before.state
+        assert after.sent == before.sent
+
+
+def test_reckoning_is_the_exponential() -> None:
+    twist = (0.8, -0.3, 1.7)
+    for dt, turn in ((0.3, 1.7), (0.3, 0.0)):
+        after = KnownPose((1.0, 2.0, 0.4)).after(dt, (*twist[:2], turn), None)
+        expected = compose((1.0, 2.0, 0.4), exp(np.array([*twist[:2], turn]) * dt))
+        assert_allclose(after.pose, expected, atol=1e-12)
+
+
+def test_a_delayed_pose_is_an_earlier_one() -> None:
+    whole = Localization(Sensing(rate=10.0, delay=0.2), 0)
+    part = Localization(Sensing(rate=10.0, delay=0.15), 0)
+    for k in range(6):
+        pose = (float(k), 0.0, 0.1 * k)
+        assert whole.see(pose, 0.1 * k) == pytest.approx((max(k - 2.0, 0.0), 0.0, 0.1 * max(k - 2.0, 0.0)))
+        assert part.see(pose, 0.1 * k) == pytest.approx((max(k - 1.5, 0.0), 0.0, 0.1 * max(k - 1.5, 0.0)))
+
+
+def test_delay_and_lag_make_it_worse() -> None:
+    worst = [
+        summarize(driven("pentzer", EIGHT, lag=lag, sensing=Sensing(delay=delay)), 3.0).mean
+        for lag, delay in ((0.0, 0.0), (0.1, 0.0), (0.15, 0.1))
+    ]
+    assert worst[0] < worst[1] < worst[2]
+
+
+def test_a_leap_of_the_localization_moves_its_map() -> None:
+    jump = Jump(0.886, ahead=0.2, turn=0.1, time=2.0)
+    run = driven("pentzer", line(15.0), sensing=Sensing(jumps=(jump,)))
+    before, after = run.t < 1.99, run.t > 1.99
+    assert_allclose(run.placed[before], run.states[before, :3])
+    k = int(np.flatnonzero(after)[0])
+    assert_allclose(run.placed[k], compose(run.states[k, :3], (0.2, 0.886, 0.1)), atol=1e-12)
+    assert np.abs(run.cross_track[before]).max() < 0.02
+    assert run.cross_track[k] == pytest.approx(0.886, abs=0.03)
+    assert run.outcome == "arrived"
+    assert abs(run.cross_track[-1]) < 0.02  # in the new map it is back on the path
+    assert run.states[-1, 1] < -0.5  # on the ground it is not where it would have been
+
+
+def test_a_leap_at_a_share_of_the_way() -> None:
+    run = driven("huskic", line(10.0), sensing=Sensing(jumps=(Jump(0.3, share=0.5),)))
+    leapt = np.flatnonzero(np.abs(np.diff(run.placed[:, 1])) > 0.2)
+    assert len(leapt) == 1
+    assert run.s[leapt[0]] == pytest.approx(5.0, abs=0.05)
+
+
+# Noise
+
+
+def test_noise_is_that_of_the_seed() -> None:
+    noisy = Sensing(position_sigma=0.02, yaw_sigma=0.01, wheel_sigma=0.01, gyro_sigma=0.01)
+    one, same, other = (driven("huskic", line(4.0), sensing=noisy, seed=seed) for seed in (1, 1, 2))
+    assert_array_equal(one.states, same.states)
+    assert_array_equal(one.seen, same.seen)
+    assert not np.array_equal(one.seen[:50], other.seen[:50])
+
+
+def test_noise_has_its_sigma() -> None:
+    run = driven("pentzer", lemniscate(12.0), sensing=Sensing(position_sigma=0.02, yaw_sigma=0.01), seed=4)
+    sigma = (run.seen - run.placed).std(axis=0)
+    assert_allclose(sigma, [0.02, 0.02, 0.01], rtol=0.08)
+    meter = twist_meter(PLANT, Sensing(wheel_sigma=0.05, gyro_sigma=0.02), 0)
+    told = np.array([meter([9.0, 9.0, 0.3, 0.5, 0.7]) for _ in range(4000)])
+    by_rim = np.hypot(*PLANT.matrix()[:2].T) * 0.05
+    assert_allclose(told.mean(axis=0), [*PLANT.twist(0.5, 0.7)[:2], 0.3], atol=3e-3)
+    assert_allclose(told.std(axis=0), [*by_rim, 0.02], rtol=0.05)
+
+
+def test_a_nonlinear_belief_drives_too() -> None:
+    belief = ScheduledIcr(0.48, -0.42, 0.1, 0.9, 0.93, 0.05, 0.1, 0.1, 0.1, 0.5)
+    wheels, path = Wheels(belief, 1.2), line(1.5)
+    run = follow(RollingModel(belief), Pentzer(pentzer.GAINS["published"], 1.0), wheels, path)
+    assert run.outcome == "arrived"
+    assert np.abs(run.sent).max() <= 1.2
+
+
+# Figures
+
+
+def test_figures_by_hand() -> None:
+    path = line(4.0)
+    n = 5
+    t, s = 0.5 * np.arange(n), np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    aside, sent = np.array([0.1, -0.3, 0.2, 0.0, 0.4]), np.array([[0, 0], [1, 1], [1, 1], [1, 2], [1, 1]], dtype=float)
+    states = np.column_stack([s, aside, np.zeros(n), np.full(n, 1.2), np.full(n, 0.5), np.zeros(n), sent])
+    power = np.outer([np.nan, 10.0, 20.0, 30.0, 40.0], np.ones(3))
+    run = Run(path, t, states, states[:, :3], states[:, :3], sent, sent, s, aside, 2.0 * aside, power, "arrived", "why")
+    found = summarize(run)
+    assert (found.outcome, found.reason, found.laps) == ("arrived", "why", 0.0)
+    assert (found.duration, found.way, found.fastest) == (2.0, 2.0, 2.0)
+    assert found.mean == pytest.approx(0.2)
+    assert found.largest == 0.4
+    assert found.rms == pytest.approx(math.sqrt(0.3 / 5.0))
+    assert found.heading_rms == pytest.approx(2.0 * found.rms)
+    assert found.speed == pytest.approx(1.3)
+    assert found.effort == pytest.approx(math.sqrt((4.0 + 4.0 + 4.0 + 4.0) / 8.0))
+    assert found.energy == pytest.approx(50.0)
+    late = summarize(run, 1.0)
+    assert (late.duration, late.way, late.mean) == (1.0, 1.0, pytest.approx(0.2))
+    assert summarize(replace(run, power=np.full((n, 3), np.nan))).energy is None
+
+
+def test_the_motion_of_a_run_is_that_of_the_robot() -> None:
+    run = driven("pentzer", line(2.0), lag=0.1)
+    assert_array_equal(run.motion.pose, run.states[:, :3])
+    assert_array_equal(run.motion.rims, run.states[:, 6:])
+
+
+@pytest.mark.parametrize("name", ["terramechanic"])
+def test_a_ground_that_changes_is_felt(name: str) -> None:
+    wheels = Wheels(point_contacts(SUMMIT), 3.0)
+    path, controller = stadium(3.0, 1.5), controllers(wheels, 1.0)["pentzer"]
+    runs = [follow(begin(name, SUMMIT, parse_ground(g)), controller, wheels, path) for g in ("grass", "grass,ice@5")]
+    early = runs[0].t < 4.9
+    assert_allclose(runs[1].states[: len(early)][early[: len(runs[1].t)]], runs[0].states[early])
+    assert np.abs(runs[1].cross_track).max() > 2.0 * np.abs(runs[0].cross_track).max()
+
+
+# What cannot be driven
+
+
+@pytest.mark.parametrize(
+    ("path", "start", "model", "message"),
+    [
+        (line(5.0), (0.0, 5.0, 0.0), PLANT, r"^the start \(0, 5\) is 5.00 m off the path, more than 3 m; begin nearer"),
+        (arc(0.2, 3.0), None, PLANT, r"radius of 0.2 m at 0.00 m, but the robot turns about a point 0.28 m ahead or"),
+        (
+            arc(0.002, 3.0),
+            None,
+            Icr(0.4, -0.4, 0.0, 1.0, 1.0),
+            r"^the path has a radius of 0.002 m .* widen that curve",
+        ),
+    ],
+)
+def test_what_cannot_be_driven_is_refused(path: Path, start: object, model: Icr, message: str) -> None:
+    wheels = Wheels(model, 1.2)
+    at = path.robot(0.0) if start is None else start
+    with pytest.raises(RequestError, match=message):
+        follow(RollingModel(model, at), controllers(wheels)["pentzer"], wheels, path)  # type: ignore[arg-type]
+
+
+def test_a_start_farther_off_may_be_allowed() -> None:
+    run = driven("huskic", line(9.0), (0.0, 5.0, 0.0), ends=Ends(off=6.0))
+    assert run.outcome == "arrived"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sensing(rate=0.0), "rate of the controller must be above 0 Hz"),
+        (lambda: Sensing(delay=-0.1), "delay must be at least 0"),
+        (lambda: Sensing(yaw_sigma=math.nan), "yaw_sigma must be at least 0, got nan"),
+        (lambda: Sensing(lost=((2.0, 1.0),)), "poses are lost from one time to a later one, got 2.0 to 1.0 s"),
+        (lambda: Jump(math.inf), "a jump needs finite numbers"),
+        (lambda: Jump(0.5, time=math.nan), "a jump needs a time in s, or a share"),
+        (lambda: Ends(laps=0.0), "laps must be above 0"),
+        (lambda: Ends(off=math.nan), "off must be above 0"),
+        (
+            lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, 0.0),
+            "acceleration of the wheels must be above 0",
+        ),
+    ],
+)
+def test_options_that_cannot_be(make: object, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
+        make()  # type: ignore[operator]
+
+
+def test_a_command_that_is_no_number_is_an_error() -> None:
+    class Broken:
+        begin = staticmethod(PathState.begin)
+
+        def command(self, pose: object, twist: object, state: PathState) -> tuple[float, float]:
+            return math.nan, 0.0
+
+    with pytest.raises((ValueError, DataError), match="need finite v and omega"):
+        follow(RollingModel(PLANT), Broken(), WHEELS, line(5.0))  # type: ignore[arg-type]
