@@ -14,6 +14,7 @@ from skidsteer.export.yaml_text import comment, mapping, rounded
 from skidsteer.models import MatrixModel
 from skidsteer.multipliers import Multipliers, Projection
 
+LEAST_ARM = 5e-4  # [m] shorter is the origin itself
 ROS_NAME = re.compile(r"[A-Za-z_~/*][A-Za-z0-9_/*]*")
 
 
@@ -89,15 +90,18 @@ def _factors(calibration: Calibration, forced: Forced) -> str:
 
 def _loss(calibration: Calibration, forced: Forced, settings: Settings) -> str:
     found = forced.projection
+    is_linear, arm = isinstance(calibration.model, MatrixModel), hypot(found.x, found.y)
+    if arm < LEAST_ARM and is_linear:
+        return comment("Nothing of the model is lost in them.", *_figures(calibration, forced.measured))
     ahead, sideways = (abs(lever * found.yaw_rate) for lever in (found.y, found.x))
-    linear = "" if isinstance(calibration.model, MatrixModel) else " What the model makes of speed is lost beside that."
     lost = (
         "What is lost: the controller knows no sideways velocity, no asymmetry, no change with speed. Its odometry is"
         f" that of the point x = {found.x:.3f} m, y = {found.y:.3f} m of base_link. Taken for base_link itself it is"
         f" wrong by {ahead:.3f} m/s ahead and {sideways:.3f} m/s sideways at {found.yaw_rate:.2g} rad/s, which adds up"
-        f" to {2.0 * hypot(found.x, found.y):.3f} m at most, however far it drives.{linear}"
+        f" to {2.0 * arm:.3f} m at most, however far it drives."
     )
-    return comment(lost, *_figures(calibration, forced.measured), *_frame(found, settings))
+    beside = "" if is_linear else " What the model makes of speed is lost beside that."
+    return comment(lost + beside, *_figures(calibration, forced.measured), *_frame(found, settings))
 
 
 def _figures(calibration: Calibration, measured: Measured | None) -> tuple[str, ...]:

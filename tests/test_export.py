@@ -1,0 +1,434 @@
+"""What other software is told: the keys are its own, and its odometry is the one promised."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import skidsteer
+from conftest import Call
+from ros_controller import CONTROLLER_PARAMETERS, EKF_PARAMETERS, Controller
+from skidsteer import export
+from skidsteer.calibration import Calibration, DriveRecord, Estimate, Provenance
+from skidsteer.drive import Drive
+from skidsteer.errors import RequestError
+from skidsteer.export.covariances import UNMEASURED, covariances
+from skidsteer.io.calibration_file import load_calibration, save_calibration
+from skidsteer.models import MODELS, Icr, Linear, Model, ScheduledIcr, SymmetricIcr
+from skidsteer.multipliers import usual_rims
+from skidsteer.noise import Noise
+from skidsteer.prediction import Regions
+from skidsteer.samples import sample
+from skidsteer.se2 import compose
+from skidsteer.vehicle import Vehicle, preset
+from skidsteer.windows import judging_windows, steps
+
+HUSKY = preset("husky-a200")
+ICR = Icr(0.60, -0.50, -0.08, 0.95, 0.92)
+NOISE = Noise(walk=0.05, turn=0.04, gyro=0.003)
+
+
+def made(model: Model = ICR, vehicle: Vehicle = HUSKY, names: tuple[str, ...] = ("morning",)) -> Calibration:
+    """A calibration as if it had been found."""
+    own = {p.name: Estimate(float(v), 0.01, p.unit) for p, v in zip(model.PARAMETERS, model.theta, strict=True)}
+    estimates = {**own, "lag": Estimate(0.1, 0.01, "s"), "gyro_bias": Estimate(0.001, 0.001, "rad/s")}
+    drives = tuple(DriveRecord(name, name, "", 60.0, 100, 0) for name in names)
+    return Calibration(
+        vehicle,
+        model,
+        tuple(estimates),
+        estimates,
+        1e-4 * np.eye(len(estimates)),
+        NOISE,
+        Provenance(drives, {"window": 2.0}, "skidsteer", "today"),
+    )
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return sample("p3at-lab").between(0.0, 90.0)
+
+
+@pytest.fixture(scope="module")
+def calibrated(drive: Drive) -> Calibration:
+    return skidsteer.calibrate(drive, model="icr")
+
+
+def parameters(text: str, node: str = "diff_drive_controller") -> dict[str, object]:
+    content = yaml.safe_load(text)
+    assert list(content) == [node]
+    assert list(content[node]) == ["ros__parameters"]
+    return dict(content[node]["ros__parameters"])
+
+
+def rms_of(text: str, row: str) -> tuple[float, float]:
+    """RMS errors [m], [deg] that a row of the comment states."""
+    found = re.search(rf"^#   {row} +([\d.]+) m +([\d.]+) deg", text, re.MULTILINE)
+    assert found, text
+    return float(found[1]), float(found[2])
+
+
+# The keys
+
+
+@pytest.mark.parametrize("frame", [None, "icr_link"])
+def test_every_parameter_is_one_of_the_controller_and_of_its_type(frame: str | None) -> None:
+    told = parameters(export.ros2_control(made(), export.Settings(icr_frame=frame)))
+    for name, value in told.items():
+        assert type(value) is CONTROLLER_PARAMETERS[name], name
+    for name in ("pose_covariance_diagonal", "twist_covariance_diagonal"):
+        diagonal = told[name]
+        assert isinstance(diagonal, list)
+        assert len(diagonal) == 6
+        assert all(type(v) is float and 0.0 < v < math.inf for v in diagonal)
+
+
+def test_every_parameter_is_one_of_the_filter_and_of_its_type() -> None:
+    told = parameters(export.robot_localization(made()), "ekf_filter_node")
+    for name, value in told.items():
+        assert type(value) is EKF_PARAMETERS[name], name
+
+
+def test_the_filter_takes_velocities_only() -> None:
+    told = parameters(export.robot_localization(made(), export.Settings(controller="base")), "ekf_filter_node")
+    order = ["x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az"]
+    fused = {
+        key: [n for n, yes in zip(order, told[key], strict=True) if yes] for key in ("odom0_config", "imu0_config")
+    }  # type: ignore[call-overload]
+    assert fused == {"odom0_config": ["vx", "vy", "vyaw"], "imu0_config": ["vyaw"]}
+    assert told["two_d_mode"] is True
+    assert told["odom0_differential"] is False
+    assert told["odom0"] == "base/odom"
+
+
+def test_without_a_gyro_there_is_none_to_fuse(calibrated: Calibration) -> None:
+    assert "imu0" not in parameters(export.robot_localization(calibrated), "ekf_filter_node")
+
+
+# The odometry
+
+
+@pytest.mark.parametrize("feedback", ["position", "velocity"])
+@pytest.mark.parametrize("model", [SymmetricIcr(0.53, 0.94), ICR])
+def test_the_controller_moves_as_the_point_of_the_model_that_was_promised(model: Model, feedback: str) -> None:
+    """Held speeds, one after the other; the point's own path by the model, through the poses of the robot."""
+    calibration = made(model)
+    told = parameters(export.ros2_control(calibration))
+    where = export.force(calibration).projection
+    controller, angles = Controller(told), np.zeros(2)
+    robot, lever = np.zeros(3), np.array([where.x, where.y, 0.0])
+    start = compose(robot, lever)
+    rng = np.random.default_rng(4)
+    for rims in rng.uniform(-1.0, 1.0, (200, 2)):
+        twist, dt = model.twist(*rims), float(rng.uniform(0.01, 0.1))
+        robot = compose(robot, skidsteer.se2.exp(twist * dt))
+        rates = rims / HUSKY.wheel_radius
+        angles += rates * dt
+        if feedback == "position":
+            controller.position_feedback(*angles, dt)
+        else:
+            controller.velocity_feedback(*rates, dt)
+        assert controller.angular == pytest.approx(float(twist[2]), rel=1e-4, abs=1e-5)
+    point = compose(robot, lever)
+    assert_allclose([controller.x, controller.y], (point - start)[:2], atol=2e-3)  # six digits were written
+    assert controller.heading == pytest.approx(point[2], abs=1e-3)
+
+
+def test_a_symmetric_model_loses_nothing() -> None:
+    calibration = made(SymmetricIcr(0.53, 0.94))
+    where, text = export.force(calibration).projection, export.ros2_control(calibration)
+    assert_allclose([where.x, where.y], 0.0, atol=1e-12)
+    assert "Nothing of the model is lost" in text
+    controller = Controller(parameters(text))
+    assert controller.separation == pytest.approx(1.06)
+    assert controller.left_radius / HUSKY.wheel_radius == pytest.approx(0.94)
+
+
+def test_the_separation_is_the_one_of_the_robot_s_own_files() -> None:
+    """A Husky is described with 0.555 m and 1.875, though its wheels are 0.5708 m apart."""
+    told = parameters(export.ros2_control(made()))
+    assert told["wheel_separation"] == 0.555
+    assert told["wheel_separation_multiplier"] == pytest.approx(1.1 / 0.555, rel=1e-5)
+    assert told["wheel_radius"] == 0.1651
+
+
+def test_commands_turn_the_robot_as_asked() -> None:
+    controller = Controller(parameters(export.ros2_control(made())))
+    for linear, angular in ((0.5, 0.0), (0.0, 1.0), (0.4, -0.7)):
+        rims = np.array(controller.command(linear, angular)) * HUSKY.wheel_radius
+        twist = ICR.twist(*rims)
+        assert twist[2] == pytest.approx(angular, abs=1e-5)
+        assert twist[0] - 0.05 * twist[2] == pytest.approx(linear, abs=1e-5)  # of the point 0.05 m to the left
+
+
+def windows_by_the_controller(text: str, calibration: Calibration, drive: Drive) -> tuple[float, float]:
+    """RMS end errors [m], [deg] of the controller, configured by the text, run anew over each judging window."""
+    told = parameters(text)
+    timing = replace(calibration.timing, time_offset=skidsteer.evaluation.fit_offset(calibration, drive))
+    windows = judging_windows(drive, 2.0)
+    cut = steps(drive.wheels, windows, timing)
+    errors = []
+    for i, measured in enumerate(windows.motion):
+        controller = Controller(told)
+        part = slice(cut.offsets[i], cut.offsets[i + 1])
+        rolled = np.cumsum(cut.distance[part], axis=0)
+        for angle, dt in zip(rolled / drive.vehicle.wheel_radius, cut.duration[part], strict=True):
+            controller.position_feedback(*angle, max(dt, 1e-9))
+        turned = (controller.heading - measured[2] + math.pi) % (2.0 * math.pi) - math.pi
+        errors.append((math.hypot(controller.x - measured[0], controller.y - measured[1]), math.degrees(turned)))
+    return tuple(np.sqrt(np.mean(np.square(errors), axis=0)).tolist())
+
+
+def test_what_is_lost_is_what_the_controller_loses(calibrated: Calibration, drive: Drive) -> None:
+    """The comment's figures for the multipliers, by the controller itself."""
+    text = export.ros2_control(calibrated, forced=export.force(calibrated, [drive]))
+    distance, yaw = windows_by_the_controller(text, calibrated, drive)
+    assert rms_of(text, "these multipliers") == (pytest.approx(distance, abs=6e-4), pytest.approx(yaw, abs=6e-3))
+    assert rms_of(text, "these multipliers")[0] > rms_of(text, "the icr model")[0]
+
+
+def test_what_is_lost_on_a_real_drive(real: skidsteer.Drive) -> None:
+    drive = skidsteer.load_drive(real("warthog-asphalt"))  # type: ignore[operator]
+    calibration = skidsteer.calibrate(drive, model="icr")
+    text = export.ros2_control(calibration, forced=export.force(calibration, [drive]))
+    distance, yaw = windows_by_the_controller(text, calibration, drive)
+    assert rms_of(text, "these multipliers") == (pytest.approx(distance, abs=6e-4), pytest.approx(yaw, abs=6e-3))
+    held_out = export.ros2_control(calibration)
+    nominal, forced, model = (
+        rms_of(held_out, r) for r in ("nominal, no multiplier", "these multipliers", "the icr model")
+    )
+    assert calibration.controller is not None
+    assert calibration.controller.held_out is not None
+    assert forced[0] == pytest.approx(calibration.controller.held_out.translation_m.rms, abs=6e-4)
+    assert nominal[0] > 2.0 * forced[0] > 2.0 * model[0]
+    assert nominal[1] > 5.0 * forced[1]
+
+
+def test_a_frame_at_the_icr_gives_the_lost_velocity_back() -> None:
+    """robot_localization adds r x omega for the place r of the odometry's frame (ros_filter.cpp, prepareTwist)."""
+    text = export.ros2_control(made(), export.Settings(icr_frame="icr_link"))
+    told = parameters(text)
+    assert told["base_frame_id"] == "icr_link"
+    assert told["enable_odom_tf"] is False
+    found = re.search(r"--x (\S+) --y (\S+) --frame-id base_link --child-frame-id icr_link$", text, re.MULTILINE)
+    assert found
+    x, y = float(found[1]), float(found[2])
+    controller = Controller(told)
+    for rims in usual_rims(1.0):
+        controller.velocity_feedback(*(rims / HUSKY.wheel_radius), 0.02)
+        regained = [controller.linear + y * controller.angular, -x * controller.angular, controller.angular]
+        assert_allclose(regained, ICR.twist(*rims), atol=2e-4)
+
+
+# Covariances
+
+
+def test_twist_covariance_by_hand() -> None:
+    """0.05^2 m * 0.5 m/s * 50 Hz = 0.0625, and (0.05 m * 0.4 rad/s)^2 = 0.0004 of the lever arm's y beside it."""
+    where = replace(export.force(made()).projection, rim_speed=0.5, yaw_rate=0.4)
+    told = covariances(made(), where, 50.0, of_icr=False)
+    assert_allclose(told.twist[:2], [0.0625 + 0.0004, 0.0625 + (0.08 * 0.4) ** 2], rtol=1e-6)
+    assert told.twist[5] == pytest.approx(0.04**2 * 0.5 * 50.0)
+    assert told.twist[2:5] == (UNMEASURED,) * 3
+    assert covariances(made(), where, 50.0, of_icr=True).twist[0] == pytest.approx(0.0625)
+
+
+def test_twist_covariance_is_that_of_the_random_walk_at_any_rate() -> None:
+    """Integrated as a filter does, independent errors of that variance spread as far as the noise model says."""
+    where = export.force(made()).projection
+    rng = np.random.default_rng(8)
+    for rate in (10.0, 100.0):
+        variance = covariances(made(), where, rate, of_icr=True).twist[0]
+        steps_ = int(10.0 * rate)
+        ends = (rng.normal(0.0, math.sqrt(variance), (4000, steps_)) / rate).sum(axis=1)
+        assert np.var(ends) == pytest.approx(0.05**2 * where.rim_speed * 10.0, rel=0.08)
+
+
+def test_covariances_are_raised_to_what_held_out_windows_show() -> None:
+    """A Gaussian of twice the covariance: regions with scale 2 and many degrees of freedom."""
+    wide = replace(made(), regions=Regions(2.0, 1e4))
+    where = export.force(made()).projection
+    plain, raised = (covariances(c, where, 50.0, of_icr=True) for c in (made(), wide))
+    assert raised.raised == pytest.approx(2.0, rel=1e-3)
+    assert_allclose(np.array(raised.pose)[[0, 1, 5]], 2.0 * np.array(plain.pose)[[0, 1, 5]], rtol=1e-3)
+
+
+# Names
+
+
+NASTY = [
+    "a: b",
+    "x\ny: 1",
+    "# no",
+    "'",
+    '"',
+    "a\u2028b: {c: d}",
+    "\ud800",
+    "日本",
+    "<script>",
+    "\x07",
+    "- a",
+    "true",
+    "1.0",
+    "~",
+]
+
+
+@settings(deadline=None)
+@given(st.one_of(st.sampled_from(NASTY), st.text(min_size=1)))
+def test_no_name_breaks_the_yaml(name: str) -> None:
+    vehicle = replace(HUSKY, name=name)
+    if not (name.isprintable() and name.strip()):
+        with pytest.raises(RequestError, match="--controller must be a name on one line"):
+            export.Settings(controller=name)
+        node = "base"
+    else:
+        node = name
+    names = export.Settings(controller=node, icr_frame=node, imu_topic=node)
+    calibration = made(vehicle=vehicle, names=(name, name))
+    for text in (export.ros2_control(calibration, names), export.robot_localization(calibration, names)):
+        content = yaml.safe_load(text)
+        ((key, inside),) = content.items()
+        assert key in (node, "ekf_filter_node")
+        assert list(inside) == ["ros__parameters"]
+        assert set(inside["ros__parameters"]) <= {*CONTROLLER_PARAMETERS, *EKF_PARAMETERS}
+    assert json.loads(export.as_json(calibration))["vehicle"]["name"] == name
+
+
+def test_a_name_that_no_node_can_have_is_pointed_out() -> None:
+    assert "is no name that a ROS node can have" in export.ros2_control(made(), export.Settings(controller="my robot"))
+    assert "is no name" not in export.ros2_control(made(), export.Settings(controller="/husky/base"))
+
+
+# The Pioneer, JSON, files
+
+
+def test_integers_of_a_p3at() -> None:
+    """Mandow 2007, Table I, 20 psi: mean alpha 0.916, x_ICR (0.2553 + 0.3071) / 2 = 0.2812 m."""
+    model = Icr(0.2553, -0.3071, -0.0120, 0.9271, 0.9049)
+    text = export.p3at(made(model, preset("pioneer-p3at")))
+    told = dict(line.split() for line in text.splitlines() if not line.startswith("#"))
+    ticks = round(138 / 0.916)
+    assert told == {"Ticksmm": str(ticks), "Revcount": str(round(2.0 * math.pi * 281.2 * ticks / 8))}
+    assert f"by {math.degrees((0.9049 - 0.9271) / 0.5624):.2f} deg in each metre" in text
+
+
+def test_json_holds_the_model() -> None:
+    content = json.loads(export.as_json(made()))
+    rims = np.array([0.3, 0.5])
+    assert_allclose(np.array(content["matrix"]) @ rims, ICR.twist(*rims))
+    assert content["parameters"]["icr_x"] == {"value": -0.08, "sigma": 0.01, "unit": "m", "determined": True}
+    assert content["multipliers"]["of_point_m"] == pytest.approx([-0.08, 0.05])
+    assert content["lag_s"] == 0.1
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_has_every_format(name: str) -> None:
+    calibration = made(MODELS[name].nominal(HUSKY))
+    for kind in export.FORMATS:
+        assert export.text(calibration, kind)
+
+
+def test_what_no_controller_can_is_refused_and_left_out(tmp_path: Path) -> None:
+    calibration = made(Linear(0.5, 0.5, 0.0, 0.0, 1.0, 2.0))
+    with pytest.raises(RequestError, match="the linear model cannot be told by multipliers"):
+        export.ros2_control(calibration)
+    assert export.write_all(calibration, tmp_path) == ()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_calibration_file_keeps_what_the_controller_loses(calibrated: Calibration, tmp_path: Path) -> None:
+    save_calibration(calibrated, tmp_path / "calibration.yaml")
+    assert load_calibration(tmp_path / "calibration.yaml").controller == calibrated.controller
+    assert calibrated.controller is not None
+
+
+def test_a_scheduled_model_is_forced_over_the_motions_of_its_drives(drive: Drive) -> None:
+    model = ScheduledIcr(0.26, -0.30, -0.01, 0.93, 0.90, 0.5, 0.1, 0.3, 0.0, 0.0)
+    calibration = made(model, preset("pioneer-p3at"))
+    usual, driven = export.force(calibration), export.force(calibration, [drive])
+    assert usual.motions == "all motions up to 0.345 m/s"
+    assert driven.motions == "the motions of p3at-lab"
+    assert driven.projection != usual.projection
+
+
+def test_files_that_fit_are_written_beside_a_calibration(calibrated: Calibration, tmp_path: Path) -> None:
+    written = export.write_all(calibrated, tmp_path)
+    assert {p.name for p in written} == {"ros2_control.yaml", "ekf.yaml", "p3at.txt", "model.json"}
+    assert {p.name for p in tmp_path.iterdir()} == {p.name for p in written}
+    husky = replace(calibrated, vehicle=HUSKY, controller=None)
+    assert "p3at.txt" not in {p.name for p in export.write_all(husky, tmp_path)}
+
+
+@pytest.fixture
+def file(calibrated: Calibration, tmp_path: Path) -> Path:
+    save_calibration(calibrated, tmp_path / "calibration.yaml")
+    return tmp_path / "calibration.yaml"
+
+
+@pytest.mark.parametrize("kind", export.FORMATS)
+def test_command_prints_or_writes_the_same(file: Path, kind: str, call: Call) -> None:
+    code, printed, err = call("export", file, "--to", kind)
+    assert (code, err) == (0, "")
+    out = file.parent / "made"
+    assert call("export", file, "--to", kind, "--out", out)[0] == 0
+    assert out.read_text(encoding="utf-8") == printed == export.text(load_calibration(file), kind)
+
+
+def test_command_measures_on_drives(file: Path, drive: Drive, call: Call) -> None:
+    code, printed, _ = call(
+        "export", file, "sample:p3at-lab", "--to", "ros2-control", "--controller", "base", "--rate", 20
+    )
+    assert code == 0
+    assert "windows of 2 s of p3at-lab" in printed
+    assert parameters(printed, "base")["publish_rate"] == 20.0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--to", "ros1"], "no format 'ros1'; there are: ros2-control, robot-localization, p3at, json"),
+        (["--to", "json", "--profile", "mud"], "no profile 'mud'; the calibration has none"),
+        (["--to", "json", "--rate", "nan"], "--rate must be a positive number of messages a second, got nan"),
+        (["--to", "json", "--controller", " "], "--controller must be a name on one line that is not empty, got ' '"),
+        (["nowhere", "--to", "json"], "nowhere: no such"),
+        (["--to", "json", "--out", "missing/made.json"], "there is no folder"),
+    ],
+)
+def test_refusals_are_one_line_and_leave_nothing(
+    file: Path, words: list[str], message: str, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(file.parent)
+    before = sorted(file.parent.rglob("*"))
+    code, out, err = call("export", file, *words)
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
+    assert message in err
+    assert sorted(file.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("skidsteer_calibration: 1", "skidsteer_calibration: 7", "a calibration file of version '7'"),
+        ("  name: icr\n", "  name: hovercraft\n", "no model 'hovercraft'"),
+        ("wheel_separation_multiplier: 1", "wheel_separation_multiplier: -1", "wheel_separation_multiplier > 0"),
+    ],
+)
+def test_calibrations_of_another_kind_are_refused(file: Path, old: str, new: str, message: str, call: Call) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+    code, out, err = call("export", file, "--to", "ros2-control", "--out", file.parent / "made.yaml")
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
+    assert message in err
+    assert not (file.parent / "made.yaml").exists()
