@@ -60,6 +60,8 @@ def show_calibration(calibration: Calibration) -> None:
     if calibration.held_out:
         OUT.print(_errors(calibration.held_out, "held-out error", chosen=calibration.model.NAME))
         OUT.print(before_after(calibration))
+    if calibration.controller is not None and calibration.controller.held_out is not None:
+        OUT.print(_as_multipliers(calibration.controller.held_out))
     OUT.print(f"Chosen: {escape(calibration.selected_because)}.")
     for warning in calibration.warnings:
         OUT.print(f"[yellow]Note:[/yellow] {escape(warning)}.")
@@ -132,6 +134,18 @@ def before_after(calibration: Calibration) -> str:
         f" {before.yaw_deg.rms:.1f} deg (RMS, nominal track width)."
         f" After: {after.translation_m.rms:.3f} m and {after.yaw_deg.rms:.1f} deg."
     )
+
+
+def _as_multipliers(held_out: HeldOut) -> str:
+    gyro = held_out.yaw_gyro_deg
+    known = {
+        f"{held_out.translation_m.rms:.3f} m": held_out.translation_m,
+        f"{held_out.yaw_deg.rms:.1f} deg": held_out.yaw_deg,
+    }
+    told = [text for text, spread in known.items() if np.isfinite(spread.rms)]
+    if not told and gyro is not None:
+        told = [f"{gyro.rms:.1f} deg against the gyro"]
+    return f"As multipliers of ROS 2's diff_drive_controller: {' and '.join(told)}."
 
 
 def _parameters(calibration: Calibration) -> Table:

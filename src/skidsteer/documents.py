@@ -42,6 +42,7 @@ def calibration_document(calibration: Calibration) -> Document:
         "noise": asdict(calibration.noise),
         "regions": None if calibration.regions is None else asdict(calibration.regions),
         "observability": None if calibration.observability is None else asdict(calibration.observability),
+        "controller": None if calibration.controller is None else asdict(calibration.controller),
         "method": calibration.method,
         "selected_because": calibration.selected_because,
         "warnings": list(calibration.warnings),
