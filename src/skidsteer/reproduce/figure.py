@@ -19,6 +19,7 @@ class Curve:
     y: FloatArray  # (n,)
     low: FloatArray | None = None  # (n,)
     high: FloatArray | None = None  # (n,)
+    measured: bool = False  # what the others are held against
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,13 @@ class Figure:
     to_scale: bool = False  # as long upwards as sideways
 
 
+MEASURED: dict[str, Any] = {"color": "#999999", "linewidth": 2.4, "zorder": 1.5}
+
+
+def _look(i: int) -> dict[str, Any]:
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
+
+
 def draw(figure: Figure, path: Path) -> None:
     """Write a drawing; the suffix of the path tells the format, svg or png.
 
@@ -44,11 +52,7 @@ def draw(figure: Figure, path: Path) -> None:
         sheet = blank(1.4 * COLUMN, 80.0)
         axes = sheet.add_subplot()
         for i, curve in enumerate(figure.curves):
-            look: dict[str, Any] = {
-                "color": COLOURS[i % len(COLOURS)],
-                "linestyle": DASHES[i % len(DASHES)],
-                "label": curve.label,
-            }
+            look = {"label": curve.label, **(MEASURED if curve.measured else _look(i))}
             if curve.low is None or curve.high is None:
                 axes.plot(curve.x, curve.y, **look)
             else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -55,9 +56,11 @@ def _place(done: Reproduction, place: Place) -> list[str]:
 
 
 def _rows(rows: Sequence[Row]) -> list[str]:
+    reasons = [row.reason for row in rows]
+    said = ["as above" if a and a == b else b for a, b in itertools.pairwise(["", *reasons])]
     cells = [
-        [row.what, number(row.paper), number(row.ours), number(row.ours - row.paper), row.verdict, row.reason]
-        for row in rows
+        [row.what, number(row.paper), number(row.ours), number(row.ours - row.paper), row.verdict, reason]
+        for row, reason in zip(rows, said, strict=True)
     ]
     return _table(("", "paper", "ours", "difference", "verdict", "why"), cells, numbers=3)
 
@@ -78,5 +81,6 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def number(value: float) -> str:
-    """Four digits; a dash where there is none."""
-    return "-" if math.isnan(value) else f"{value:.4g}"
+    """Four digits, or a whole number; a dash where there is none."""
+    whole = abs(value) < 1e7 and value == round(value) if math.isfinite(value) else False
+    return "-" if math.isnan(value) else f"{value:.0f}" if whole else f"{value:.4g}"

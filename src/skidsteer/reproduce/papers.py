@@ -29,6 +29,9 @@ class Paper:
 
 
 PAPERS: dict[str, Paper] = {
+    "mandow2007": Paper(
+        "Mandow et al. 2007, Experimental kinematics for wheeled skid-steer mobile robots, IROS", "mandow2007", True
+    ),
     "wang2015": Paper(
         "Wang et al. 2015, Analysis and Experimental Kinematics of a Skid-Steering Wheeled Robot Based on a Laser"
         " Scanner Sensor, Sensors 15",
