@@ -164,3 +164,15 @@ def test_options_are_refused_before_the_drive() -> None:
         replace(ALL["huskic"], deceleration=0.0)
     with pytest.raises(ValueError, match="need lam > 0"):
         replace(huskic.GAINS["header"], lam=math.nan)
+
+
+def test_where_a_path_crosses_itself_it_begins_on_the_branch_it_heads_along() -> None:
+    eight = lemniscate(8.0)
+    for s in (0.0, 0.5 * eight.length, eight.length):
+        for aside in (-0.03, 0.03):
+            began = PathState.begin(eight, compose(eight.at(s), (0.02, aside, 0.1))).s
+            assert math.cos((began - s) * 2.0 * math.pi / eight.length) > 0.999
+    turned = compose(line(4.0).at(1.0), (0.0, 0.5, 3.0))
+    assert PathState.begin(line(4.0), turned).s == pytest.approx(1.0)  # however it faces
+    back = lemniscate(8.0).in_reverse()
+    assert PathState.begin(back, back.robot(3.0)).s == pytest.approx(3.0)

@@ -19,6 +19,7 @@ from skidsteer.paths import Path
 
 ARRIVED = 0.01  # [m] before the end of an open path, where driving ends
 CROWDED = 0.2  # least 1 - c y_e: nearer to the centre of curvature the laws take it for this
+BRANCHES = 0.2  # [m] by which one branch of a path may be nearer than another where a robot begins on either
 STEEPEST = 0.95  # greatest icr_x c: a robot whose ICR lies as far ahead as the path's radius cannot stay on it
 
 
@@ -31,13 +32,12 @@ class PathState:
 
     @classmethod
     def begin(cls, path: Path, pose: ArrayLike) -> PathState:
-        """At the point of the path nearest to a pose (3,).
+        """At the point of the path nearest to a pose (3,); where the path crosses itself, on the branch it heads along.
 
         Raises:
             DataError: a pose that is not finite.
         """
-        x, y, _ = finite("pose", pose)
-        return cls(path, path.project((x, y)))
+        return cls(path, nearest_branch(path, finite("pose", pose)))
 
     @property
     def direction(self) -> float:
@@ -112,6 +112,17 @@ class Controller(Protocol[State]):
         Raises:
             DataError: a pose, twist or dt that is not finite, or a dt below 0.
         """
+
+
+def nearest_branch(path: Path, pose: tuple[float, float, float]) -> float:
+    """Arc length [m] of the nearest point; of branches within ``BRANCHES`` of it, on one that the robot heads along."""
+    s = np.linspace(0.0, path.length, math.ceil(path.length / BRANCHES) + 1)
+    errors = path.error(pose, s)
+    far = np.hypot(errors[:, 0], errors[:, 1])
+    ahead = (far <= far.min() + BRANCHES) & (np.abs(errors[:, 2]) < 0.25 * math.pi)
+    if not ahead.any():
+        return path.project(pose[:2])
+    return path.project(pose[:2], near=float(s[ahead][far[ahead].argmin()]), window=BRANCHES)
 
 
 def path_error(state: PathState, pose: ArrayLike) -> PathError:
