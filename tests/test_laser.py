@@ -544,9 +544,10 @@ def test_heading_sigma_is_that_of_the_covariance(slant_deg: float) -> None:
 def test_table_two_from_simulated_scans() -> None:
     by_what = {row.what: row for row in wang2015.rows()}
     mean = by_what["mean of the measured width [m], Table 2"]
-    assert (mean.paper, mean.verdict) == (0.289, "cannot be reproduced")
+    assert (mean.paper, mean.verdict) == (0.289, "not possible without the original data")
     assert 0.285 < mean.ours < 0.288  # a chord falls short by a spacing of rays
     assert "give 0.2899 with a standard deviation of 0.0017" in mean.reason
-    assert by_what["standard deviation of the width [m], Table 2"].verdict == "reproduced"
+    sigma = by_what["standard deviation of the width [m], Table 2"]
+    assert sigma.ours == pytest.approx(sigma.paper, abs=5e-4)
     for equation in (37, 38, 39, 41):
         assert next(row for what, row in by_what.items() if f"Eq. ({equation})" in what).verdict == "reproduced"

@@ -64,9 +64,9 @@ def test_two_phases_at_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
         tuple(repeated_samples.Detection(n, d, 0.5, 0.1, 0.0) for n in ("basic", "alternative") for d in (0.1, 0.2)),
     )
     rows = thalmann2016.rows(study)
-    assert [r.verdict for r in rows[:3]] == ["reproduced"] * 3
+    assert [r.verdict for r in rows[:5]] == ["reproduced"] * 5
     figures = {f.name: f for f in thalmann2016.figures(study)}
-    assert list(figures) == [f"figure-{n}" for n in (4, 5, 10, 11, 12, 13)]
+    assert list(figures) == [f"figure-{n}" for n in (4, 5, 7, 8, 9, 10, "10-shares", 11, 12, 13)]
     basic, extended = figures["figure-13"].curves
     assert_allclose(basic.y, np.median(done.loss.errors["basic"], axis=1))
     assert extended.label == "extended"

@@ -34,6 +34,7 @@ class Figure:
     to_scale: bool = False  # as long upwards as sideways
 
 
+FEW = 12  # points that are marked
 MEASURED: dict[str, Any] = {"color": "#999999", "linewidth": 2.4, "zorder": 1.5}
 
 
@@ -53,11 +54,11 @@ def draw(figure: Figure, path: Path) -> None:
         axes = sheet.add_subplot()
         for i, curve in enumerate(figure.curves):
             look = {"label": curve.label, **(MEASURED if curve.measured else _look(i))}
+            mark = "" if curve.measured or len(curve.x) > FEW else MARKERS[i % len(MARKERS)]
             if curve.low is None or curve.high is None:
-                axes.plot(curve.x, curve.y, **look)
+                axes.plot(curve.x, curve.y, marker=mark, **look)
             else:
                 bars = [curve.y - curve.low, curve.high - curve.y]
-                mark = MARKERS[i % len(MARKERS)]
                 axes.errorbar(curve.x, curve.y, yerr=bars, marker=mark, capsize=2, elinewidth=0.8, **look)
         axes.set(xlabel=figure.x_label, ylabel=figure.y_label)
         if figure.to_scale:

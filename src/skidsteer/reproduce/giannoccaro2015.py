@@ -9,9 +9,11 @@ from skidsteer.models.slip_ratio import CircleRun, Side, slip_ratio
 from skidsteer.plan.circumnavigation import Plan, circumnavigate
 from skidsteer.plan.driver import Driver
 from skidsteer.plan.slip_table import SlipTable
+from skidsteer.reproduce import giannoccaro2015_claims as claims
 from skidsteer.reproduce.figure import Curve, Figure
+from skidsteer.reproduce.giannoccaro2015_claims import TABLE_5
 from skidsteer.reproduce.rover_course import CODE, FLOORS, RADIUS, TURN, WAYS, laps, paper_request
-from skidsteer.reproduce.rows import Place, Reproduction, Row, compared, stands_in
+from skidsteer.reproduce.rows import Reproduction, Row, compared, stands_in
 from skidsteer.samples import ROVER_DRAGS, rover_runs
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import preset
@@ -24,11 +26,6 @@ TABLE_3: dict[tuple[str, Side], tuple[float, float]] = {  # x_ICR [m], chi
     ("outdoor", "right"): (0.467, 0.300),
     ("football", "left"): (0.309, 0.453),
 }
-TABLE_5 = {  # K_s of 1L to 5L, 1R to 5R
-    "indoor": (1.42, 1.83, 2.71, 2.54, 2.45, 1.45, 1.91, 2.75, 2.60, 2.54),
-    "outdoor": (1.47, 2.07, 3.21, 2.97, 2.89, 1.48, 2.07, 3.21, 2.97, 2.89),
-    "football": (1.42, 1.98, 3.41, 3.29, 3.44),
-}
 COPIED = ("3L", "4L", "5L")  # outdoors
 TABLE_1 = {20: 191.0, 40: 410.0, 60: 632.0, 80: 957.0, 100: 1059.0, 120: 1249.0}  # command k -> rim speed [mm/s]
 TOLERANCE = 0.05  # of K_s
@@ -36,23 +33,12 @@ PLAN_K = (26, 65)  # of the inner and the outer side on the arcs of section V
 
 
 HOW = {"slip ratio": "the slips of circles about as wide", "ICR model": "one ICR distance for all of them"}
-PLACES = (
-    Place("Table 1", "integers k and rim speeds of the runs"),
-    Place("Table 2", "measured radii", "measured; Tables 3 and 5 are calculated from it"),
-    Place("Table 3", "equivalent carriageway and slippage index"),
-    Place("Table 4", "slip of the inner side"),
-    Place("Table 5", "slipping ratio K_s"),
-    Place("Fig. 5", "angular speed by k", "its points are not printed; see Table 1"),
-    Place("Fig. 8", "repetitions of the runs", "the single radii are not printed"),
-    Place("Fig. 9", "radii of three surfaces", "drawn from Table 2"),
-    Place("Fig. 10", "obstacle and course"),
-    Place("Fig. 11", "ends of five laps"),
-)
 
 
 def reproduction() -> Reproduction:
     """Everything, calculated and simulated."""
-    return Reproduction((*rows(), *driven_rows()), (laps_figure(),), places=PLACES)
+    figures = (claims.radius_figure(), laps_figure())
+    return Reproduction((*rows(), *claims.rows(), *driven_rows()), figures, (), claims.PLACES, claims.NOTES)
 
 
 def rows() -> tuple[Row, ...]:

@@ -10,7 +10,8 @@ from skidsteer.reproduce import wang2015
 from skidsteer.reproduce.figure import Curve, Figure
 from skidsteer.reproduce.rows import Reproduction, Row, stands_in
 from skidsteer.reproduce.wang2015 import PRINTED, SCATTER_3, TABLE_3, TABLE_4, TRACK_WIDTH
-from skidsteer.reproduce.wang_runs import ROBOT, VEHICLE, Reckonings, Runs, reckonings, runs
+from skidsteer.reproduce.wang_runs import EXAMPLE, ROBOT, VEHICLE, Reckonings, Runs, reckonings, runs, watch
+from skidsteer.reproduce.wang_runs import FACTORY_CHI as PRINTED_CHI
 from skidsteer.se2 import FloatArray
 from skidsteer.terramechanics.steady_turn import rims_on_path, steady_turn
 from skidsteer.terramechanics.terrain import TERRAINS, Terrain
@@ -18,6 +19,9 @@ from skidsteer.terramechanics.terrain import TERRAINS, Terrain
 RATIOS = np.arange(8.0)  # lambda of Table 3
 SPEED = 0.3  # [m/s] of Figs. 5 and 13
 FLOOR = "on the floor `tiles`, two numbers of which were fitted to this table"
+RUN = (0.25, 0.475)  # [m/s], [m] of Fig. 11
+TURNED = 1.6  # [rad] turned in it, for the plate to be seen
+APART = 20  # scans between which a velocity is taken: over a single one noise would be all
 AXES = ("x [m]", "y [m]", "heading [rad]")
 
 
@@ -25,7 +29,8 @@ def reproduction() -> Reproduction:
     """Everything, calculated and simulated."""
     found = runs()
     path = reckonings(found)
-    return Reproduction((*wang2015.rows(), *rows(found, path)), figures(found, path))
+    every = (*wang2015.rows(), *rows(found, path))
+    return Reproduction(every, figures(found, path), (), wang2015.PLACES, wang2015.NOTES)
 
 
 def rows(found: Runs, path: Reckonings) -> tuple[Row, ...]:
@@ -98,7 +103,8 @@ def _scatter_rows(found: Runs) -> tuple[Row, ...]:
 
 
 def _within(what: str, bound: float, ours: float, reason: str) -> Row:
-    return Row(f"{what}, in the runs", bound, ours, "reproduced" if ours <= bound else "cannot be reproduced", reason)
+    held = "within the printed bound" if ours <= bound else "beyond the printed bound"
+    return stands_in(f"{what}, in the runs", bound, ours, f"{held}; {reason}")
 
 
 def _path_rows(path: Reckonings) -> tuple[Row, ...]:
@@ -123,13 +129,44 @@ def _path_rows(path: Reckonings) -> tuple[Row, ...]:
 
 
 def figures(found: Runs, path: Reckonings) -> tuple[Figure, ...]:
-    """Counterparts of Figs. 5, 12, 13 and 14."""
-    return (_curve_figure(), *_run_figures(found), _fit_figure(found), _path_figure(path))
+    """Counterparts of Figs. 5 and 11 to 16."""
+    return (
+        _curve_figure(),
+        *_one_run_figures(),
+        *_run_figures(found),
+        _fit_figure(found),
+        _path_figure(path),
+        *_error_figures(path),
+        _chi_figure(),
+    )
 
 
 def _measured() -> Curve:
     chi, sigma = np.array(TABLE_3), np.array(SCATTER_3)
-    return Curve("measured, Table 3", RATIOS, chi, chi - sigma, chi + sigma)
+    return Curve("measured, Table 3", RATIOS, chi, chi - sigma, chi + sigma, measured=True)
+
+
+def _one_run_figures() -> tuple[Figure, Figure]:
+    """The run of Fig. 11: 0.25 m/s on a radius of 0.475 m, as the plate tells it."""
+    speed, radius = RUN
+    rims = rims_on_path([radius / (0.5 * PRINTED_CHI * TRACK_WIDTH)], speed)
+    seen = watch(rims, [TURNED * radius / speed], TERRAINS["tiles"], 11).poses
+    t, (x, y, heading) = seen.t, seen.values.T
+    apart = APART
+    dt = t[apart:] - t[:-apart]
+    speeds = np.hypot(x[apart:] - x[:-apart], y[apart:] - y[:-apart]) / dt
+    place = (Curve("x [m]", t, x), Curve("y [m]", t, y), Curve("heading [rad]", t, np.unwrap(heading)))
+    rates = (Curve("speed [m/s]", t[:-apart], speeds), Curve("yaw rate [rad/s]", t[:-apart], _rate(heading, dt, apart)))
+    words = f"{speed:g} m/s on a radius of {radius:g} m, simulated"
+    return (
+        Figure("figure-11a", f"Position and heading, {words}", "time [s]", "x, y [m], heading [rad]", place),
+        Figure("figure-11b", f"Velocity, {words}", "time [s]", "speed [m/s], yaw rate [rad/s]", rates),
+    )
+
+
+def _rate(heading: FloatArray, dt: FloatArray, apart: int) -> FloatArray:
+    whole = np.unwrap(heading)
+    return np.asarray((whole[apart:] - whole[:-apart]) / dt)
 
 
 def _curve_figure() -> Figure:
@@ -162,5 +199,29 @@ def _fit_figure(found: Runs) -> Figure:
 
 def _path_figure(path: Reckonings) -> Figure:
     lines = {"seen by the scanner": path.seen, **{f"{name} model": line for name, line in path.by_model.items()}}
-    curves = tuple(Curve(label, line[:, 0], line[:, 1]) for label, line in lines.items())
-    return Figure("figure-14", "Path of Eq. (48) in the scanner's frame", "x [m]", "y [m]", curves)
+    curves = tuple(
+        Curve(label, line[:, 0], line[:, 1], measured=label.startswith("seen")) for label, line in lines.items()
+    )
+    return Figure("figure-14", "Path of Eq. (48) in the scanner's frame", "x [m]", "y [m]", curves, to_scale=True)
+
+
+def _error_figures(path: Reckonings) -> tuple[Figure, Figure]:
+    off = {name: path.off(name) for name in ("P3-AT", "proposed")}
+    place = tuple(Curve(f"{name} model", path.t, np.hypot(e[:, 0], e[:, 1])) for name, e in off.items())
+    angle = tuple(Curve(f"{name} model", path.t, e[:, 2]) for name, e in off.items())
+    return (
+        Figure("figure-15a", "Errors of position on the path of Eq. (48)", "time [s]", "error [m]", place),
+        Figure("figure-15b", "Errors of heading on the path of Eq. (48)", "time [s]", "error [rad]", angle),
+    )
+
+
+def _chi_figure() -> Figure:
+    """Chi of each second of Eq. (48) by Eq. (45) as printed, and the constant of Eq. (46)."""
+    left, right = EXAMPLE.T
+    chi = icr_coefficient((left + right) / (right - left), *PRINTED)
+    t = np.repeat(np.arange(len(EXAMPLE) + 1.0), 2)[1:-1]
+    curves = (
+        Curve("proposed model", t, np.repeat(chi, 2)),
+        Curve("P3-AT model", t, np.full(len(t), PRINTED_CHI)),
+    )
+    return Figure("figure-16", "ICR coefficient on the path of Eq. (48)", "time [s]", "chi [-]", curves)
