@@ -14,6 +14,8 @@ from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import Finding
 from skidsteer.drive import Drive
 from skidsteer.evaluation import Evaluation
+from skidsteer.follow.run import Run, summarize
+from skidsteer.follow.task import Task
 from skidsteer.identify.circle_calibration import CircleCalibration
 from skidsteer.identify.circle_test import SideResult, SurfaceResult
 from skidsteer.identify.design import Design
@@ -223,6 +225,36 @@ def _stretch(start: float, stretch: Stretch) -> Document:
         "k": None if stretch.k is None else list(stretch.k),
         "rims_m_s": stretch.rims.tolist(),
         "twist": stretch.twist.tolist(),
+    }
+
+
+def follow_document(task: Task, run: Run) -> Document:
+    """What ``follow --json`` prints."""
+    found, model = summarize(run), task.belief.model
+    return {
+        "vehicle": task.vehicle.name,
+        "plant": task.plant,
+        "terrain": task.ground.words(),
+        "controller": {"law": task.law, "gains": task.gains, "speed_mps": task.speed},
+        "believed": {
+            "model": model.NAME,
+            "parameters": {p.name: float(v) for p, v in zip(model.PARAMETERS, model.theta, strict=True)},
+            "from": task.belief.source,
+        },
+        "path": {"length_m": run.path.length, "closed": run.path.closed, "reverse": run.path.reverse},
+        "lag_s": task.lag,
+        "wheel_limits": {"speed_mps": task.wheels.max_speed, "acceleration_mps2": task.acceleration},
+        "sensing": asdict(task.sensing),
+        "seed": task.seed,
+        "outcome": run.outcome,
+        "reason": run.reason,
+        "duration_s": found.duration,
+        "way_m": found.way,
+        "laps": found.laps,
+        "cross_track_m": {"mean": found.mean, "max": found.largest, "rms": found.rms},
+        "heading_rms_rad": found.heading_rms,
+        "mean_speed_mps": found.speed,
+        "wheels": {"fastest_mps": found.fastest, "effort_mps2": found.effort, "energy_j": found.energy},
     }
 
 

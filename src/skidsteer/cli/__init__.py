@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from skidsteer.cli import drives, exporting, models, papers, planning  # noqa: F401  (each adds its commands)
+from skidsteer.cli import drives, driving, exporting, models, papers, planning  # noqa: F401  (each adds its commands)
 from skidsteer.cli.words import app
 
 

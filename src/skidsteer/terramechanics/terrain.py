@@ -130,6 +130,11 @@ class Ground:
     everywhere: Terrain
     areas: Sequence[Area] = ()
 
+    def words(self) -> str:
+        """The terrains, as ``parse_ground`` reads those that follow one another in time."""
+        later = (f"{a.terrain.name}@{a.t[0]:g}" if a.t[0] > -math.inf else a.terrain.name for a in self.areas)
+        return ",".join([self.everywhere.name, *later])
+
     def bounds(self) -> FloatArray:
         """From and to in t, x and y (k, 6) of every area, the first of which is everywhere."""
         limits = [[*area.t, *area.x, *area.y] for area in (Area(self.everywhere), *self.areas)]

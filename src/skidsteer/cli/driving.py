@@ -1,0 +1,106 @@
+"""Commands that drive a simulated robot in a closed loop."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skidsteer.cli.words import Json, Profile, app, folder
+
+
+@app.command()
+def follow(
+    path: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="lemniscate, stadium, line, or CSV of waypoints x, y [m]")
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="write drive/, follow.json, follow.html, way.svg, errors.svg there")
+    ],
+    speed: Annotated[float, typer.Option(metavar="M/S", help="asked for")] = 1.0,
+    controller: Annotated[
+        str, typer.Option(metavar="NAME", help="huskic, soetanto, pentzer or pure_pursuit")
+    ] = "huskic",
+    gains: Annotated[str | None, typer.Option(metavar="NAME", help="such as launch or header; none: launch")] = None,
+    plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "kinematic",
+    terrain: Annotated[
+        str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")
+    ] = "grass",
+    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file")] = "summit-xl",
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="what the controller believes; none: as found on the plant at low speed"),
+    ] = None,
+    profile: Profile = None,
+    size: Annotated[float | None, typer.Option(metavar="M", help="of a named path")] = None,
+    closed: Annotated[bool, typer.Option("--closed", help="waypoints go on from the last to the first")] = False,
+    reverse: Annotated[bool, typer.Option("--reverse", help="drive with the rear ahead")] = False,
+    start: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]", help="[m, rad]; none: on the path")] = None,
+    laps: Annotated[float, typer.Option(help="of a closed path")] = 1.0,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="of the controller")] = 50.0,
+    lag: Annotated[float, typer.Option(metavar="S", help="of the wheels")] = 0.1,
+    delay: Annotated[float, typer.Option(metavar="S", help="of the poses")] = 0.0,
+    position_noise: Annotated[float, typer.Option(metavar="M", help="of the poses, each axis")] = 0.0,
+    yaw_noise: Annotated[float, typer.Option(metavar="DEG", help="of the poses")] = 0.0,
+    jump: Annotated[str, typer.Option(metavar="M@S,...", help="leaps of the localization, also M@PERCENT%")] = "",
+    lost: Annotated[str, typer.Option(metavar="FROM-TO,...", help="[s] without poses")] = "",
+    acceleration: Annotated[float, typer.Option(metavar="M/S2", help="limit of the rims")] = math.inf,
+    off: Annotated[float, typer.Option(metavar="M", help="from the path, where driving ends")] = 3.0,
+    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    json: Json = False,
+) -> None:
+    """Let a controller drive a simulated robot along a path, and show how well."""
+    from skidsteer import documents
+    from skidsteer.follow import words
+    from skidsteer.follow.animation import page
+    from skidsteer.follow.picture import against_time, way
+    from skidsteer.follow.run import summarize
+    from skidsteer.follow.sensing import Sensing
+    from skidsteer.follow.task import Belief, Task, believed, recorded_drive, run_task
+    from skidsteer.io.atomic import write_text
+    from skidsteer.io.calibration_file import load_calibration
+    from skidsteer.io.folder import vehicle as find_vehicle
+    from skidsteer.io.folder import write_folder
+    from skidsteer.io.waypoints import read_path
+    from skidsteer.terramechanics.terrain import parse_ground
+
+    robot, ground = find_vehicle(vehicle), parse_ground(terrain)
+    course = read_path(path, closed) if path.endswith(".csv") else words.shape(path, size)
+    if calibration is None:
+        belief = believed(plant, robot, ground)
+    else:
+        belief = Belief(load_calibration(calibration).profile(profile).model, str(calibration))
+    task = Task(
+        course.in_reverse() if reverse else course,
+        robot,
+        ground,
+        belief,
+        speed,
+        controller,
+        gains,
+        plant,
+        lag,
+        None if start is None else words.parse_start(start),
+        Sensing(
+            rate,
+            delay,
+            position_noise,
+            math.radians(yaw_noise),
+            jumps=words.parse_jumps(jump),
+            lost=words.parse_spans(lost),
+        ),
+        laps,
+        off,
+        acceleration,
+        seed,
+    )
+    run = run_task(task)
+    told, document = words.sentences(task, run, summarize(run)), documents.to_json(documents.follow_document(task, run))
+    write_folder(recorded_drive(out.name, task, run), folder(out) / "drive")
+    write_text(out / "follow.json", document + "\n")
+    write_text(out / "follow.html", page(f"{task.vehicle.name} follows {path}", told, run, robot))
+    write_text(out / "way.svg", way(run))
+    write_text(out / "errors.svg", against_time(run, task.wheels.max_speed))
+    typer.echo(document if json else "\n".join([*told, f"written: {out}"]))

@@ -1,0 +1,109 @@
+"""A closed loop in full: which robot follows which path by which law, on what, and what is believed of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from skidsteer.control import Wheels
+from skidsteer.drive import Drive, Series
+from skidsteer.errors import RequestError
+from skidsteer.follow.belief import low_speed
+from skidsteer.follow.laws import Known, controller
+from skidsteer.follow.loop import Ends, follow
+from skidsteer.follow.run import Run
+from skidsteer.follow.sensing import IDEAL, Sensing, Triple
+from skidsteer.models import Model
+from skidsteer.paths import Path
+from skidsteer.plants import begin, plant, point_contacts, usual_sensors
+from skidsteer.simulate import recorded
+from skidsteer.terramechanics.terrain import Ground
+from skidsteer.vehicle import Vehicle
+
+SLOWEST = 0.25  # of the speed asked for, on average: slower than that the time is up
+SPARE = 30.0  # [s] more
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What the controller believes of its robot, and where that comes from."""
+
+    model: Model
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """What is to be driven.
+
+    Raises:
+        RequestError: a vehicle whose wheel speed is not known.
+    """
+
+    path: Path
+    vehicle: Vehicle
+    ground: Ground
+    belief: Belief
+    speed: float  # [m/s] asked for
+    law: str = "huskic"
+    gains: str | None = None  # of the law; None: as it is launched
+    plant: str = "kinematic"
+    lag: float = 0.1  # [s] of the wheels
+    start: Triple | None = None  # None: on the path, at its beginning
+    sensing: Sensing = IDEAL
+    laps: float = 1.0  # of a closed path
+    off: float = 3.0  # [m] from the path, beyond which it is lost
+    acceleration: float = math.inf  # [m/s^2] of the rims
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.vehicle.max_wheel_speed is None:
+            raise RequestError(f"vehicle {self.vehicle.name} has no max_wheel_speed; give it in a vehicle file")
+
+    @property
+    def wheels(self) -> Wheels:
+        """What is believed of the robot, and the limit of its wheels."""
+        return Wheels(self.belief.model, self.vehicle.max_wheel_speed or math.nan)
+
+    @property
+    def ends(self) -> Ends:
+        """When driving ends."""
+        way = self.path.length * (self.laps if self.path.closed else 1.0)
+        return Ends(self.laps, way / (SLOWEST * self.speed) + SPARE, self.off)
+
+
+def run_task(task: Task) -> Run:
+    """Drive a task.
+
+    Raises:
+        RequestError: as ``follow`` does, or no such plant, law or gains.
+    """
+    known = Known(task.wheels, task.lag, task.sensing.delay, 1.0 / task.sensing.rate)
+    law = controller(task.law, task.gains, task.speed, known)
+    start = task.path.robot(0.0) if task.start is None else np.array(task.start)
+    rolling = begin(task.plant, task.vehicle, task.ground, start, task.lag)
+    return follow(rolling, law, task.wheels, task.path, task.sensing, task.ends, task.acceleration, task.seed)
+
+
+def believed(name: str, vehicle: Vehicle, ground: Ground) -> Belief:
+    """What to believe of a plant's robot where there is no calibration of it.
+
+    Raises:
+        RequestError: no such plant, or one that cannot be begun.
+    """
+    plant(name)
+    if name == "kinematic":
+        return Belief(point_contacts(vehicle), "the plant's own ICRs")
+    return Belief(low_speed(name, vehicle, ground), f"steady turns at 0.3 m/s on {ground.everywhere.name}")
+
+
+def recorded_drive(name: str, task: Task, run: Run) -> Drive:
+    """What a robot's usual sensors record of a run, with the ``wheel_command`` that was sent.
+
+    Raises:
+        RequestError: a run too short for two references.
+    """
+    commands = Series(run.t, run.sent, "wheel_command")
+    return recorded(name, task.vehicle, run.motion, usual_sensors(task.vehicle), task.seed, commands)

@@ -1,0 +1,97 @@
+"""What a command line says of a closed loop, read; and what came of one, in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from skidsteer.errors import RequestError
+from skidsteer.follow.run import Run, Summary
+from skidsteer.follow.sensing import Jump, Triple
+from skidsteer.follow.task import Task
+from skidsteer.paths import Path, lemniscate, line, stadium
+
+LAP = 110.77 / 5.0  # [m] of the lemniscate of Huskić 2017, V.B
+SHAPES: dict[str, tuple[float, Callable[[float], Path]]] = {  # size [m] unless it is told, and what it is the size of
+    "lemniscate": (LAP / lemniscate(1.0).length, lemniscate),  # from end to end
+    "stadium": (10.0, lambda size: stadium(size, 0.25 * size)),  # its straights; the radius is a quarter of them
+    "line": (20.0, line),
+}
+
+
+def shape(name: str, size: float | None) -> Path:
+    """A path by name, of a size [m]: from end to end, or of its straights.
+
+    Raises:
+        RequestError: no such path, or a size that is not positive.
+    """
+    if name not in SHAPES:
+        raise RequestError(f"no path '{name}'; there are: {', '.join(SHAPES)}, or give a CSV file with columns x, y")
+    usual, make = SHAPES[name]
+    return make(usual if size is None else size)
+
+
+def parse_jumps(text: str) -> tuple[Jump, ...]:
+    """Leaps of the localization: ``LEFT@S`` or ``AHEAD/LEFT/TURN@S``; in place of seconds a share of the way, ``50%``.
+
+    Raises:
+        RequestError: something else.
+    """
+    return tuple(_jump(word.strip()) for word in text.split(",")) if text.strip() else ()
+
+
+def _jump(word: str) -> Jump:
+    size, at, when = word.partition("@")
+    try:
+        if not at:
+            raise ValueError
+        ahead, left, turn = [float(part) for part in (size if "/" in size else f"0/{size}/0").split("/")]
+        if when.endswith("%"):
+            return Jump(left, ahead, turn, share=0.01 * float(when[:-1]))
+        return Jump(left, ahead, turn, time=float(when))
+    except ValueError:
+        raise RequestError(
+            f"jump '{word}': write METRES@SECONDS or METRES@PERCENT%, such as 0.886@20 or 0.886@50% to the left, or"
+            " AHEAD/LEFT/RADIANS@SECONDS"
+        ) from None
+
+
+def parse_spans(text: str) -> tuple[tuple[float, float], ...]:
+    """Times without poses [s], such as ``8-9,20-20.5``.
+
+    Raises:
+        RequestError: something else.
+    """
+    words = [word.strip().partition("-") for word in text.split(",")] if text.strip() else []
+    try:
+        return tuple((float(start), float(end)) for start, _, end in words)
+    except ValueError:
+        raise RequestError(f"times without poses '{text}': write FROM-TO in s, such as 8-9,20-20.5") from None
+
+
+def parse_start(text: str) -> Triple:
+    """A start ``X,Y`` or ``X,Y,YAW`` [m, rad].
+
+    Raises:
+        RequestError: something else.
+    """
+    try:
+        x, y, yaw = [float(word) for word in (text if text.count(",") == 2 else f"{text},0").split(",")]
+    except ValueError:
+        raise RequestError(f"start '{text}': write X,Y or X,Y,YAW in m and rad, such as 0,0.5,0.3") from None
+    return x, y, yaw
+
+
+def sentences(task: Task, run: Run, found: Summary) -> Sequence[str]:
+    """What was driven, by whom, and how well."""
+    laps = f", {found.laps:.2f} laps" if run.path.closed else ""
+    energy = "" if found.energy is None else f", {found.energy:.0f} J by the rims"
+    limit = task.wheels.max_speed
+    return (
+        f"{task.vehicle.name} on {task.plant}, by {task.law}: {found.outcome}; {found.reason}.",
+        f"believed: {task.belief.model.NAME}, from {task.belief.source}",
+        f"driven: {found.way:.2f} m of the path in {found.duration:.2f} s{laps}; mean speed {found.speed:.2f} m/s",
+        f"cross-track error: mean {100.0 * found.mean:.1f} cm, largest {100.0 * found.largest:.1f} cm,"
+        f" RMS {100.0 * found.rms:.1f} cm; heading RMS {math.degrees(found.heading_rms):.1f} deg",
+        f"wheels: fastest {found.fastest:.2f} of {limit:g} m/s, effort {found.effort:.2f} m/s^2{energy}",
+    )
