@@ -11,10 +11,13 @@ from skidsteer.errors import DataError
 from skidsteer.identify.calibrate import calibrate
 from skidsteer.identify.least_squares import Fit, FitOptions, find_offset, fit
 from skidsteer.models import Differential, Icr, SymmetricIcr
-from skidsteer.noise import Noise
-from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH
+from skidsteer.noise import EPISODE, Noise
+from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH, sample
 from skidsteer.se2 import FloatArray, chain, compose, exp
-from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
+from skidsteer.simulate import Sensors, controller, kinematic_drive, rims_from_manoeuvres
+from skidsteer.terramechanics.dynamics import terramechanic_drive
+from skidsteer.terramechanics.robot import robot
+from skidsteer.terramechanics.terrain import terrain
 from skidsteer.vehicle import preset
 from skidsteer.windows import Mount, Timing, Windows, increment_windows, predict
 
@@ -502,3 +505,30 @@ def pose_of(drive: Drive) -> Series:
 def test_calibrate_refuses(drive: Drive, message: str) -> None:
     with pytest.raises(DataError, match=message):
         calibrate(drive)
+
+
+# Drives that no constant ICR describes
+
+
+def test_a_short_drive_that_no_constant_describes_is_known_less_well() -> None:
+    """96 s are too short for enough stretches of 10 s; straights and curves on simulated gravel part all the same."""
+    made = robot(preset("warthog"))
+    rows = [[1.0, 0.0, 0.0]]
+    for v in (0.1, 0.2, 0.3):
+        rows += [[5.0, v, side * rate] for rate in (0.3, 0.6) for side in (1.0, -1.0)]
+        rows += [[3.0, v, 0.0], [2.0, -v, 0.0], [3.0, 0.0, 0.6], [3.0, 0.0, -0.6]]
+    commands = rims_from_manoeuvres(np.array(rows), controller(made.vehicle), acceleration=1.0)
+    sensors = Sensors(10.0, 0.005, float(np.radians(0.2)), encoder_rate=50.0, gyro_rate=50.0)
+    drive = terramechanic_drive("gravel", made, terrain("gravel"), commands, sensors)
+    windows = increment_windows(drive)
+    found = fit(Icr.nominal(made.vehicle), [drive], [windows])
+    assert EPISODE <= found.block < 10.0
+    assert found.inflated > 2.0
+    alone = fit(Icr.nominal(made.vehicle), [drive], [windows.where(windows.end < 30.0)])
+    assert alone.block == EPISODE
+    assert alone.inflated == 1.0  # 14 stretches of 2 s say nothing
+
+
+def test_stretches_are_of_ten_seconds_where_the_drive_has_enough_of_them() -> None:
+    long = sample("p3at-lab")
+    assert fit(Icr.nominal(long.vehicle), [long], [increment_windows(long)]).block == 10.0

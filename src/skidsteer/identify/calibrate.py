@@ -267,7 +267,7 @@ def _warnings(
     if found.inflated > 1.0:
         notes.append(
             f"errors last longer than the noise model explains: variances were raised {found.inflated:.1f}-fold"
-            " by the scatter between stretches of 10 s"
+            f" by the scatter between stretches of {found.block:.2g} s"
         )
     notes += _unseen(drives, found)
     outliers = sum(int((w.end < 1).sum()) for w in found.weights)

@@ -20,7 +20,7 @@ from skidsteer.identify.problem import Problem
 from skidsteer.identify.start import FitOptions, find_offset, first_guess, with_headings
 from skidsteer.identify.unknowns import Unknowns
 from skidsteer.models import Model
-from skidsteer.noise import Noise, Weights
+from skidsteer.noise import EPISODE, Noise, Weights
 from skidsteer.prediction import Uncertainty
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount, Timing, Windows
@@ -52,7 +52,8 @@ class Fit:
     iterations: int
     converged: bool
     stretches: int  # of ``FitOptions.block`` seconds that told something
-    inflated: float  # factor on the variances by the scatter between blocks; 1 where the noise model explains it
+    block: float  # [s] of the stretches whose scatter was looked at
+    inflated: float  # factor on the variances by that scatter; 1 where the noise model explains it
 
     @property
     def told(self) -> np.ndarray:
@@ -134,8 +135,11 @@ def _result(
 ) -> Fit:
     """The fit at a state that the search ended in."""
     H, scores, deviance = problem.information(state, noise, weights)
-    free = problem.free
+    free, stretches = problem.free, _telling(scores)
     covariance = np.zeros((len(state.x), len(state.x)))
+    fine = _finely(problem)
+    if fine.options.block < problem.options.block:
+        scores = fine.information(state, noise, weights)[1]
     of_free, inflated = _covariance(H, scores, problem.prior[free])
     covariance[np.ix_(free, free)] = of_free
     log.debug("%s: %d steps, deviance %.1f, %s", state.family.NAME, iterations, deviance, noise)
@@ -154,9 +158,25 @@ def _result(
         windows=sum(map(len, problem.windows)),
         iterations=iterations,
         converged=converged,
-        stretches=_telling(scores),
+        stretches=stretches,
+        block=fine.options.block,
         inflated=inflated,
     )
+
+
+def _enough(unknowns: int) -> int:
+    """Least number of blocks whose scatter says anything of a covariance."""
+    return 2 * unknowns + 4
+
+
+def _finely(problem: Problem) -> Problem:
+    """The same problem cut into shorter blocks where it is too short for enough of the usual ones.
+
+    What lasts at all lasts longer than an episode, so that blocks do not get shorter than that.
+    """
+    time = sum(float((w.end - w.start).sum()) for w in problem.windows)
+    block = min(problem.options.block, max(EPISODE, time / (_enough(int(problem.free.sum())) + 1)))
+    return replace(problem, options=replace(problem.options, block=block))
 
 
 def _telling(scores: FloatArray) -> int:
@@ -174,7 +194,7 @@ def _covariance(H: FloatArray, scores: FloatArray, prior: FloatArray) -> tuple[F
     p, known = len(H), np.diag(1.0 / prior**2)
     bread: FloatArray = np.asarray(np.linalg.inv(H + known))
     blocks = _telling(scores)
-    if p == 0 or blocks < 2 * p + 4:
+    if p == 0 or blocks < _enough(p):
         return bread, 1.0
     meat = scores.T @ scores * blocks / (blocks - 1)
     ratio = float(np.trace(bread @ meat)) / p
