@@ -7,7 +7,15 @@ import sys
 
 import typer
 
-from skidsteer.cli import drives, driving, exporting, models, papers, planning  # noqa: F401  (each adds its commands)
+from skidsteer.cli import (  # noqa: F401  (each adds its commands)
+    drives,
+    driving,
+    exporting,
+    models,
+    papers,
+    planning,
+    results,
+)
 from skidsteer.cli.words import app
 
 

@@ -11,7 +11,12 @@ from skidsteer.cli.words import DRIVE_HELP, Drives, Json, Lag, Offset, Profile, 
 from skidsteer.sources import Source, on_drives
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from skidsteer.calibration import Calibration
+    from skidsteer.drive import Drive
+    from skidsteer.identify.circle_test import SurfaceResult
+    from skidsteer.identify.holdout import Folds
 
 
 @app.command()
@@ -19,7 +24,9 @@ if TYPE_CHECKING:
 def calibrate(
     source: Source,
     drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE...", help=DRIVE_HELP)] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="write calibration.yaml and exports there")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="write calibration.yaml, report and exports there")
+    ] = None,
     model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
     method: Annotated[str, typer.Option(help="least-squares, genetic (Mandow 2007) or circle-test")] = "least-squares",
     window: Window = 2.0,
@@ -35,14 +42,13 @@ def calibrate(
 ) -> None:
     """Calibrate a motion model from drives of one robot."""
     from skidsteer import console, documents
-    from skidsteer.identify.calibrate import calibrate as calibrate_drives
-    from skidsteer.identify.calibrate import make_options
+    from skidsteer.identify.calibrate import calibrate_with_folds, make_options
     from skidsteer.identify.terrain import calibrate_profiles
 
     if bool(drives) == bool(profile):
         raise typer.BadParameter("give drives, or --profile GROUND=DRIVE for each of them")
     if drives and (circles := source.circles(drives, model, method)) is not None:
-        _write(circles.calibration, out)
+        _write(circles.calibration, out, surfaces=circles.surfaces)
         if json:
             typer.echo(documents.to_json(documents.circles_document(circles)))
         else:
@@ -51,10 +57,15 @@ def calibrate(
     options = make_options(model, method, window, seed, time_offset, lag, mount, fix)
     with console.progress_bar() as report:
         if profile:
-            calibration = calibrate_profiles(source.grounds(profile), options, report)
+            grounds = source.grounds(profile)
+            loaded = [drive for group in grounds.values() for drive in group]
+            calibration, folds = calibrate_profiles(grounds, options, report), None
         else:
-            calibration = calibrate_drives(source.load(drives or []), options=options, progress=report)
-    _write(calibration, out)
+            loaded = source.load(drives or [])
+            calibration, folds = calibrate_with_folds(loaded, options, report)
+        if out is not None:
+            report("writing the report", 0, 1)
+            _write(calibration, out, loaded, folds=folds)
     if json:
         typer.echo(documents.to_json(documents.calibration_document(calibration)))
     else:
@@ -155,10 +166,18 @@ def check(
         console.show_check(loaded, findings, topics, cures, verdict)
 
 
-def _write(calibration: Calibration, out: Path | None) -> None:
+def _write(
+    calibration: Calibration,
+    out: Path | None,
+    drives: Sequence[Drive] = (),
+    surfaces: Sequence[SurfaceResult] = (),
+    folds: Folds | None = None,
+) -> None:
     from skidsteer.export import write_all
     from skidsteer.io.calibration_file import save_calibration
+    from skidsteer.report import gather, write_report
 
     if out is not None:
         save_calibration(calibration, folder(out) / "calibration.yaml")
         write_all(calibration, out)
+        write_report(gather(calibration, drives, surfaces, folds=folds), out / "report.html")

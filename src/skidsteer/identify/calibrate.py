@@ -17,7 +17,7 @@ from skidsteer.errors import DataError, RequestError
 from skidsteer.identify.alignment import is_turned
 from skidsteer.identify.as_controller import as_controller
 from skidsteer.identify.genetic import GeneticOptions, genetic_fit
-from skidsteer.identify.holdout import HeldOutErrors, held_out
+from skidsteer.identify.holdout import Folds, HeldOutErrors, held_out
 from skidsteer.identify.judged import is_determined
 from skidsteer.identify.least_squares import Fit, FitOptions, fit_supported
 from skidsteer.identify.observability import observe, observe_drive
@@ -78,7 +78,13 @@ def calibrate(
         RequestError: no such model or method, or a method that the model does not support.
     """
     drives = [drive] if isinstance(drive, Drive) else list(drive)
-    options = options or CalibrateOptions(model=model)
+    return calibrate_with_folds(drives, options or CalibrateOptions(model=model), progress)[0]
+
+
+def calibrate_with_folds(
+    drives: list[Drive], options: CalibrateOptions, progress: Progress | None = None
+) -> tuple[Calibration, Folds | None]:
+    """The calibration, and the fits of its model that each have seen one half only; None where nothing was held out."""
     for d in drives:
         refuse_unusable(d)
     _tell(progress, "looking at the log", 0, 1)
@@ -97,7 +103,7 @@ def calibrate(
         found, note = genetic_fit(found, drives, windows, GeneticOptions(seed=options.seed))
         notes.append(note)
     _tell(progress, "done", len(names) + 1, len(names) + 1)
-    return Calibration(
+    calibration = Calibration(
         vehicle=drives[0].vehicle,
         model=found.model,
         names=tuple(np.array(found.names)[found.told].tolist()),
@@ -113,6 +119,7 @@ def calibrate(
         observability=verdict,
         controller=as_controller(found.model, drives, judged.get(chosen), options.window),
     )
+    return calibration, judged[chosen].folds if chosen in judged else None
 
 
 def _examined(drives: list[Drive], cure: bool) -> tuple[list[Drive], list[str]]:

@@ -1,0 +1,6 @@
+"""The report: one self-contained HTML page about a calibration, for people to judge it by."""
+
+from skidsteer.report.evidence import Evidence, gather
+from skidsteer.report.page import page, write_report
+
+__all__ = ["Evidence", "gather", "page", "write_report"]

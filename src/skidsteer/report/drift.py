@@ -1,0 +1,103 @@
+"""How far dead reckoning strays on 10 m and in a full turn, from all stretches of drives that are so long."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skidsteer.report.tracks import Track, motion_between
+from skidsteer.se2 import FloatArray, wrap
+
+DISTANCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # [m] the longest that drives have ``ENOUGH`` of is taken
+TURNS = (360.0, 180.0, 90.0, 45.0)  # [deg]
+ENOUGH = 3.0  # independent stretches
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Median error of each model after ``whole`` metres or degrees, scaled from stretches of ``length``."""
+
+    errors: Mapping[str, float]  # [m] or [deg]
+    whole: float
+    length: float
+    stretches: float  # independent ones
+
+
+def drift_per_10_m(tracks: Sequence[Track]) -> Drift | None:
+    """Median distance [m] of the end position after 10 m from the reference; None where no drive goes so far.
+
+    Every pose begins a stretch, which ends when the calibrated model has moved so far: overlapping stretches use all
+    that was driven. Where the drives have too few of 10 m, shorter ones are scaled up.
+    """
+    posed = [track for track in tracks if track.sees == "pose"]
+    for length in DISTANCES:
+        found = [_position_errors(track, length) for track in posed]
+        count = sum(number for _, number in found)
+        if count >= ENOUGH:
+            return _drift([errors for errors, _ in found], DISTANCES[0], length, count)
+    return None
+
+
+def _position_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], float]:
+    """Errors (k,) [m] of each model over stretches of a track, and the number of independent ones."""
+    here = track.poses["calibrated"][:, :2]
+    step = np.hypot(*np.diff(here, axis=0, prepend=here[:1]).T)
+    step[np.diff(track.piece, prepend=-1) != 0] = 0.0
+    travelled = np.cumsum(step)
+    end = _ends(travelled, length)
+    i = np.flatnonzero(end < len(track))
+    i = i[track.piece[end[i]] == track.piece[i]]
+    true = motion_between(track.poses["reference"], i, end[i])
+    errors = {}
+    for name in _models(track):
+        error = motion_between(track.poses[name], i, end[i])[:, :2] - true[:, :2]
+        errors[name] = np.hypot(error[:, 0], error[:, 1])
+    lengths = np.bincount(track.piece, step)
+    return errors, float(np.floor(lengths / length).sum()) if len(i) else 0.0
+
+
+def yaw_per_turn(tracks: Sequence[Track]) -> Drift | None:
+    """Median error [deg] of the yaw after 360 deg of turning to one side; None where drives hardly turn.
+
+    Turns to the left are put together, and turns to the right, however much lies between them.
+    """
+    posed = [track for track in tracks if track.sees != "position"]
+    for length in TURNS:
+        found = [_turn_errors(track, side, length) for track in posed for side in (1.0, -1.0)]
+        count = sum(number for _, number in found)
+        if count >= ENOUGH:
+            return _drift([errors for errors, _ in found], TURNS[0], length, count)
+    return None
+
+
+def _turn_errors(track: Track, side: float, length: float) -> tuple[dict[str, FloatArray], float]:
+    """Errors (k,) [deg] of each model over stretches of turning to one side, and the number of independent ones."""
+    joined = np.diff(track.piece, prepend=-1) == 0
+    steps = {name: np.diff(poses[:, 2], prepend=0.0) * joined for name, poses in track.poses.items()}
+    steps["reference"] = wrap(steps["reference"])
+    turning = np.sign(steps["calibrated"]) == side
+    turned = np.degrees(np.cumsum(np.abs(steps["calibrated"]) * turning))
+    end = _ends(turned, length)
+    i = np.flatnonzero((end < len(track)) & turning)
+    errors = {}
+    for name in _models(track):
+        astray = np.degrees(np.cumsum((steps[name] - steps["reference"]) * turning))
+        errors[name] = np.abs(astray[end[i]] - astray[i])
+    return errors, float(np.floor(turned[-1] / length)) if len(i) else 0.0
+
+
+def _ends(travelled: FloatArray, length: float) -> np.ndarray:
+    """First index (n,) at which ``length`` more is travelled; n where it never is."""
+    return np.asarray(np.searchsorted(travelled, travelled + length - 1e-9))
+
+
+def _models(track: Track) -> list[str]:
+    return [name for name in track.poses if name != "reference"]
+
+
+def _drift(parts: list[dict[str, FloatArray]], whole: float, length: float, count: float) -> Drift:
+    names = parts[0].keys()
+    pooled = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return Drift({n: float(np.median(e)) * whole / length for n, e in pooled.items()}, whole, length, count)
