@@ -127,10 +127,13 @@ class Judge:
 
     def locate(self, placed: Triple) -> PathError:
         """Errors of a pose, by projection."""
-        first = math.isnan(self.s)
-        self.s = self._path.project(placed[:2], near=None if first else self.s)
-        self._begun = self.s if first else self._begun
-        return path_error(PathState(self._path, self.s), placed)
+        if math.isnan(self.s):
+            state = PathState.begin(self._path, placed)
+            self._begun = state.s
+        else:
+            state = PathState(self._path, self.s).projected(placed)
+        self.s = state.s
+        return path_error(state, placed)
 
     def end(self, t: float, at: PathError, memory: Memory[State], fastest: float) -> End | None:
         """Outcome and reason, or None: drive on; ``fastest`` [m/s] is the faster rim."""

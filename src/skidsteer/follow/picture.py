@@ -61,7 +61,7 @@ def against_time(run: Run, limit: float) -> str:
     """Cross-track error, speed and wheel speeds with their limit [m/s] against time, as SVG."""
     kept = thin(np.arange(len(run.t)))
     sent, rims, speed = run.sent[kept], run.states[kept, 6:], np.hypot(*run.states[kept, 3:5].T)
-    edge = np.full(len(kept), limit)
+    edge, last = np.full(len(kept), limit), max(float(run.t[-1]), 1e-9)
     panels: Sequence[tuple[str, Sequence[Line]]] = (
         ("cross-track error [cm]", [Line("", 100.0 * run.cross_track[kept], COLOURS[0])]),
         ("speed [m/s]", [Line("", speed, COLOURS[0])]),
@@ -80,9 +80,13 @@ def against_time(run: Run, limit: float) -> str:
     parts: list[str] = []
     for i, (title, lines) in enumerate(panels):
         parts += _panel(run.t[kept], title, lines, EDGE + i * (PANEL[1] + GAP))
-    width, height = LEFT + PANEL[0] + EDGE, EDGE + len(panels) * (PANEL[1] + GAP) + 20.0
-    label = f'<text x="{LEFT + 0.5 * PANEL[0]}" y="{height - 12:.0f}" text-anchor="middle" {TEXT}>time [s]</text>'
-    return _svg(width, height, [*parts, label])
+    width, bottom = LEFT + PANEL[0] + EDGE, EDGE + len(panels) * (PANEL[1] + GAP) - GAP
+    for time in ticks(0.0, last):
+        x = LEFT + PANEL[0] * time / last
+        parts.append(f'<text x="{x:.1f}" y="{bottom + 16:.1f}" text-anchor="middle" {TEXT}>{time:g}</text>')
+    middle = LEFT + 0.5 * PANEL[0]
+    parts.append(f'<text x="{middle:.1f}" y="{bottom + 34:.1f}" text-anchor="middle" {TEXT}>time [s]</text>')
+    return _svg(width, bottom + 44.0, parts)
 
 
 def _panel(t: FloatArray, title: str, lines: Sequence[Line], top: float) -> list[str]:
@@ -102,7 +106,7 @@ def _panel(t: FloatArray, title: str, lines: Sequence[Line], top: float) -> list
         out.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end" {TEXT}>{value:g}</text>')
     for value in ticks(0.0, last):
         x = place(np.array([value]), np.zeros(1))[0, 0]
-        out.append(f'<text x="{x:.1f}" y="{top + PANEL[1] + 14:.1f}" text-anchor="middle" {TEXT}>{value:g}</text>')
+        out.append(f'<path d="M{x:.1f} {top:.1f}v{PANEL[1]}" stroke="#eee"/>')
     for line in lines:
         dashes = f' stroke-dasharray="{line.dashes}"' if line.dashes else ""
         out.append(f'<polyline points="{_points(place(t, line.values))}" stroke="{line.colour}"{dashes}/>')

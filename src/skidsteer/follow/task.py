@@ -24,6 +24,7 @@ from skidsteer.vehicle import Vehicle
 
 SLOWEST = 0.25  # of the speed asked for, on average: slower than that the time is up
 SPARE = 30.0  # [s] more
+SHORTEST = 0.5  # [s] that can be recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +104,9 @@ def recorded_drive(name: str, task: Task, run: Run) -> Drive:
     """What a robot's usual sensors record of a run, with the ``wheel_command`` that was sent.
 
     Raises:
-        RequestError: a run too short for two references.
+        RequestError: a run that ended at once.
     """
+    if run.t[-1] < SHORTEST:
+        raise RequestError(f"the drive ended after {run.t[-1]:.2f} s: {run.outcome}, {run.reason}")
     commands = Series(run.t, run.sent, "wheel_command")
     return recorded(name, task.vehicle, run.motion, usual_sensors(task.vehicle), task.seed, commands)

@@ -1,0 +1,326 @@
+"""The command ``follow``, its files, and what it refuses."""
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from conftest import Call
+from skidsteer.control import Wheels
+from skidsteer.errors import RequestError
+from skidsteer.evaluation import evaluate
+from skidsteer.follow import Jump, Run, Sensing, follow
+from skidsteer.follow.animation import embedded, page
+from skidsteer.follow.belief import low_speed
+from skidsteer.follow.laws import LAWS, Known, controller
+from skidsteer.follow.picture import against_time, thin, ticks, way
+from skidsteer.follow.task import Belief, Task, believed, run_task
+from skidsteer.follow.words import SHAPES, parse_jumps, parse_spans, parse_start, shape
+from skidsteer.identify.calibrate import CalibrateOptions, calibrate
+from skidsteer.io.calibration_file import save_calibration
+from skidsteer.io.drives import load_drive
+from skidsteer.io.waypoints import read_path
+from skidsteer.models import Icr
+from skidsteer.paths import lemniscate, line
+from skidsteer.plants import point_contacts
+from skidsteer.rolling import RollingModel
+from skidsteer.terramechanics.robot import robot
+from skidsteer.terramechanics.steady_turn import steady_turn
+from skidsteer.terramechanics.terrain import TERRAINS, Area, Ground, parse_ground
+from skidsteer.vehicle import preset
+
+SUMMIT = preset("summit-xl")
+GRASS = parse_ground("grass")
+HOSTILE = "</script><script>alert('x')</script>&<!--"
+
+
+def short_run(name: str = "pentzer", **sensing: object) -> Run:
+    wheels = Wheels(point_contacts(SUMMIT), 3.0)
+    law = controller(name, None, 1.0, Known(wheels))
+    return follow(RollingModel(wheels.model, lag=0.1), law, wheels, line(3.0), Sensing(**sensing))  # type: ignore[arg-type]
+
+
+def data_of(text: str) -> dict[str, object]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert found
+    return json.loads(found[1])  # type: ignore[no-any-return]
+
+
+# The command
+
+
+def test_it_writes_what_it_promises(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    words = (
+        "--speed 1.2 --controller soetanto --plant terramechanic --terrain grass,asphalt@6 --delay 0.04 --jump 0.3@50%"
+    )
+    code, told, error = call("follow", "--path", "lemniscate", "--size", 5, *words.split(), "--out", out, "--json")
+    assert (code, error) == (0, "")
+    document = json.loads(told)
+    assert {p.name for p in out.iterdir()} == {"drive", "follow.json", "follow.html", "way.svg", "errors.svg"}
+    assert json.loads((out / "follow.json").read_text()) == document
+    assert (document["outcome"], document["terrain"]) == ("laps done", "grass,asphalt@6")
+    assert document["believed"]["from"] == "steady turns at 0.3 m/s on grass"
+    assert document["believed"]["parameters"]["alpha_left"] < 0.95  # on grass they roll with less
+    assert 0.25 < document["cross_track_m"]["max"] < 0.45
+    assert document["cross_track_m"]["mean"] < 0.12
+    assert document["wheels"]["fastest_mps"] <= 3.0
+    assert document["wheels"]["energy_j"] > 100.0
+    assert document["laps"] == pytest.approx(1.0, abs=0.01)
+    for name in ("way.svg", "errors.svg"):
+        assert ET.parse(out / name).getroot().tag.endswith("svg")
+    drive = load_drive(str(out / "drive"))
+    assert drive.wheel_command is not None
+    assert np.abs(drive.wheel_command.values).max() == pytest.approx(document["wheels"]["fastest_mps"])
+    assert data_of((out / "follow.html").read_text())["t"][-1] == pytest.approx(document["duration_s"], abs=1e-3)  # type: ignore[index]
+
+
+def test_what_it_drove_calibrates_to_what_it_believed(call: Call, tmp_path: Path) -> None:
+    """The kinematic plant is what its controller believes; by a calibration of it the drive is told alike."""
+    words = "--path lemniscate --size 4 --speed 0.8 --lag 0.1 --position-noise 0.005"
+    assert call("follow", *words.split(), "--out", tmp_path / "a")[0] == 0
+    drive = load_drive(str(tmp_path / "a" / "drive"))
+    found = calibrate(drive, options=CalibrateOptions(model="icr_symmetric"))
+    assert found.parameters["icr_y"].value == pytest.approx(point_contacts(SUMMIT).icr_y, rel=0.03)
+    assert found.estimates["lag"].value == pytest.approx(0.0, abs=0.03)  # the encoders are behind the wheels' lag
+    save_calibration(found, tmp_path / "calibration.yaml")
+    words += f" --calibration {tmp_path / 'calibration.yaml'} --out {tmp_path / 'b'} --json"
+    code, told, _ = call("follow", *words.split())
+    document = json.loads(told)
+    assert (code, document["believed"]["from"]) == (0, str(tmp_path / "calibration.yaml"))
+    assert document["believed"]["parameters"]["icr_y"] == found.parameters["icr_y"].value
+    again = evaluate(found, [load_drive(str(tmp_path / "b" / "drive"))], 2.0)
+    assert again.total.translation_m.median < 0.03
+
+
+def test_waypoints_in_reverse_with_words_for_people(call: Call, tmp_path: Path) -> None:
+    file, out = tmp_path / "points.csv", tmp_path / "out"
+    file.write_text("x,y\n0,0\n2,0.5\n4,0\n5,1\n")
+    words = (
+        f"--path {file} --reverse --speed 0.6 --controller pentzer --gains feed-forward --start 0,0.1,3.0 --out {out}"
+    )
+    code, told, _ = call("follow", *words.split(), "--lost", "3-3.8", "--acceleration", 2)
+    assert code == 0
+    assert told.splitlines()[0] == (
+        "summit-xl on kinematic, by pentzer: arrived; it stands 0.00 m before the end of the path."
+    )
+    assert told.splitlines()[1] == "believed: icr_symmetric, from the plant's own ICRs"
+    assert "m of the path in" in told.splitlines()[2]
+    assert "laps" not in told
+    assert re.search(r"cross-track error: mean \d\.\d cm, largest \d+\.\d cm, RMS", told)
+    assert told.splitlines()[-1] == f"written: {out}"
+    sent = load_drive(str(out / "drive")).wheel_command
+    assert sent is not None
+    assert np.abs(np.diff(sent.values, axis=0)).max() <= 2.0 * 0.02 * (1.0 + 1e-6)
+    assert (sent.values[(sent.t > 3.6) & (sent.t < 3.79)] == 0.0).all()
+    assert sent.values.mean() < -0.2
+
+
+def test_the_same_seed_drives_the_same_way(call: Call, tmp_path: Path) -> None:
+    words = ["--path", "line", "--size", "4", "--position-noise", "0.02", "--yaw-noise", "1", "--out"]
+    runs = [call("follow", *words, tmp_path / name, "--seed", seed)[0] for name, seed in (("a", 1), ("b", 1), ("c", 2))]
+    assert runs == [0, 0, 0]
+    a, b, c = ((tmp_path / name / "drive" / "wheels.csv").read_text() for name in "abc")
+    assert a == b
+    assert a != c
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "--path circle",
+            "no path 'circle'; there are: lemniscate, stadium, line, or give a CSV file with columns x, y",
+        ),
+        ("--path none.csv", "none.csv"),
+        ("--path line --size -2", "the length of a path must be a positive number of metres, got -2.0"),
+        ("--path line --controller lqr", "no controller 'lqr'; there are: huskic, soetanto, pentzer, pure_pursuit"),
+        ("--path line --gains best", "no gains 'best' of huskic; there are: launch, header, feed-forward"),
+        ("--path line --plant gazebo", "no plant 'gazebo'; there are: kinematic, terramechanic, mujoco"),
+        ("--path line --terrain mud", "no terrain 'mud'"),
+        ("--path line --vehicle rover-4wd1", "vehicle rover-4wd1 has no max_wheel_speed; give it in a vehicle file"),
+        (
+            "--path line --speed 0",
+            "the speed must be above 0 m/s, got 0.0; to drive backwards, follow the path in reverse",
+        ),
+        ("--path line --start 0", "start '0': write X,Y or X,Y,YAW in m and rad"),
+        ("--path line --start 0,9", "the start (0, 9) is 9.00 m off the path, more than 3 m"),
+        ("--path line --jump 1", "jump '1': write METRES@SECONDS or METRES@PERCENT%"),
+        ("--path line --lost 3", "times without poses '3': write FROM-TO in s, such as 8-9,20-20.5"),
+        ("--path line --rate 0", "the rate of the controller must be above 0 Hz, got 0.0"),
+        ("--path line --laps 0", "laps must be above 0, got 0.0"),
+        ("--path line --acceleration 0", "the acceleration of the wheels must be above 0 m/s^2, got 0.0"),
+        ("--path line --jump 9@0", "the drive ended after 0.00 s: lost the path, it is 9.00 m off at 0.00 s"),
+        ("--path lemniscate --size 0.001", "widen that curve"),
+    ],
+)
+def test_what_cannot_be_is_one_line(call: Call, tmp_path: Path, words: str, message: str) -> None:
+    code, told, error = call("follow", *words.split(), "--out", tmp_path / "out")
+    assert (code, told) == (1, "")
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out" / "follow.json").exists()
+
+
+def test_a_lost_path_is_a_result(call: Call, tmp_path: Path) -> None:
+    words = "--path line --controller pure_pursuit --gains plain --start 0,0,3.14159 --off 1 --out"
+    code, told, _ = call("follow", *words.split(), tmp_path / "out")
+    assert code == 0
+    assert "lost the path" in told.splitlines()[0]
+
+
+# Words
+
+
+def test_jumps_in_words() -> None:
+    assert parse_jumps("") == ()
+    assert parse_jumps("0.886@20, -0.3@50%,0.1/0.2/-0.3@4") == (
+        Jump(0.886, time=20.0),
+        Jump(-0.3, share=0.5),
+        Jump(0.2, 0.1, -0.3, time=4.0),
+    )
+    for text in ("@3", "1@", "1/2@3", "1/2/3/4@3", "a@3", "1@x%", "inf@3"):
+        with pytest.raises(RequestError, match=r"^(jump '|a jump needs)"):
+            parse_jumps(text)
+
+
+def test_spans_and_starts_in_words() -> None:
+    assert parse_spans("") == ()
+    assert parse_spans("8-9, 20-20.5") == ((8.0, 9.0), (20.0, 20.5))
+    assert parse_start("1,2") == (1.0, 2.0, 0.0)
+    assert parse_start("1, -2,0.5") == (1.0, -2.0, 0.5)
+    for text in ("1", "1,2,3,4", "a,b", ""):
+        with pytest.raises(RequestError, match="write X,Y or X,Y,YAW"):
+            parse_start(text)
+
+
+def test_named_paths_have_their_sizes() -> None:
+    assert shape("lemniscate", None).length == pytest.approx(110.77 / 5.0)  # Huskić 2017, V.B
+    assert shape("stadium", 4.0).length == pytest.approx(8.0 + 2.0 * np.pi)
+    assert {name: shape(name, 3.0).closed for name in SHAPES} == {"lemniscate": True, "stadium": True, "line": False}
+
+
+def test_waypoints_that_meet_are_closed(tmp_path: Path) -> None:
+    file = tmp_path / "p.csv"
+    file.write_text("x,y\n0,0\n4,0\n4,4\n0,4\n0,0\n")
+    assert read_path(file).closed
+    file.write_text("x,y\n0,0\n4,0\n4,4\n0,4\n")
+    assert not read_path(file).closed
+    assert read_path(file, closed=True).closed
+    file.write_text("x,y\n0,0\n0,0\n4,4\n")
+    with pytest.raises(Exception, match=r"p\.csv: waypoints 1 and 2 are the same point"):
+        read_path(file)
+
+
+def test_a_ground_tells_its_words() -> None:
+    for text in ("grass", "grass,ice@12.5,lab@20"):
+        assert parse_ground(text).words() == text
+    assert Ground(TERRAINS["lab"], (Area(TERRAINS["ice"], x=(0.0, 1.0)),)).words() == "lab,ice"
+
+
+# Laws and beliefs
+
+
+def test_every_law_drives_with_every_gains() -> None:
+    wheels = Wheels(Icr(0.48, -0.42, 0.1, 0.9, 0.93), 2.0)
+    for name, sets in LAWS.items():
+        for gains in sets:
+            law = controller(name, gains, 0.8, Known(wheels, 0.1, 0.05))
+            run = follow(RollingModel(wheels.model, lag=0.1), law, wheels, line(3.0))
+            assert run.outcome == "arrived", (name, gains)
+            assert np.abs(run.cross_track).max() < 0.05
+
+
+def test_slow_turns_tell_the_icrs_of_a_plant() -> None:
+    found = low_speed("terramechanic", SUMMIT, parse_ground("grass,ice@3"))
+    made = robot(SUMMIT)
+    for curvature in (0.3, 0.7):
+        rims = point_contacts(SUMMIT).wheel_speeds(0.3, 0.3 * curvature)
+        twist = steady_turn(made, TERRAINS["grass"], *rims).twist
+        assert_allclose(found.twist(*rims)[[0, 2]], twist[[0, 2]], rtol=0.05)
+    own = believed("kinematic", SUMMIT, GRASS)
+    assert own == Belief(point_contacts(SUMMIT), "the plant's own ICRs")
+    assert_allclose(low_speed("kinematic", SUMMIT, GRASS).theta, [0.45802, -0.45802, 0.0, 1.0, 1.0], atol=1e-5)
+
+
+@pytest.mark.skipif(find_spec("mujoco") is None, reason="mujoco is not installed")
+def test_a_task_on_the_engine() -> None:
+    belief = believed("mujoco", SUMMIT, GRASS)
+    assert isinstance(belief.model, Icr)
+    run = run_task(Task(lemniscate(5.0), SUMMIT, GRASS, belief, 1.0, "pure_pursuit", plant="mujoco"))
+    assert run.outcome == "laps done"
+    assert np.abs(run.cross_track).mean() < 0.1
+
+
+# Pictures and the page
+
+
+def test_pictures_hold_the_run() -> None:
+    run = short_run(lost=((1.0, 1.4),))
+    for text in (way(run), against_time(run, 3.0)):
+        root = ET.fromstring(text)
+        width, height = map(float, root.attrib["viewBox"].split()[2:])
+        points = [p for e in root.iter() if e.tag.endswith("polyline") for p in e.attrib["points"].split()]
+        x, y = np.array([p.split(",") for p in points], dtype=float).T
+        assert len(points) > 200
+        assert ((x >= 0.0) & (x <= width) & (y >= 0.0) & (y <= height)).all()
+
+
+def test_a_line_is_thinned_to_its_ends() -> None:
+    values = np.arange(10_000)
+    kept = thin(values, 100)
+    assert (kept[0], kept[-1], len(kept)) == (0, 9999, 100)
+    assert_allclose(thin(np.arange(3)), [0, 1, 2])
+
+
+def test_ticks_are_round() -> None:
+    assert ticks(-0.3, 1.1) == [-0.2, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    assert ticks(0.0, 44.0) == [0.0, 10.0, 20.0, 30.0, 40.0]
+
+
+def test_the_page_asks_for_nothing_and_runs_nothing_of_the_user() -> None:
+    vehicle = replace(SUMMIT, name=HOSTILE)
+    text = page(f"{HOSTILE} @DATA@", (HOSTILE, "@TITLE@"), short_run(), vehicle)
+    assert "http" not in text
+    assert "src=" not in text
+    assert "url(" not in text
+    assert "alert('x')</script>" not in text
+    assert text.count("<script") == 2
+    assert text.count("</script>") == 2
+    assert "&lt;/script&gt;&lt;script&gt;alert(&#x27;x&#x27;)" in text
+    assert "<p>@TITLE@</p>" in text
+    assert len(data_of(text)["t"]) > 20  # type: ignore[arg-type]
+
+
+def test_data_survive_their_embedding() -> None:
+    data = {"a": HOSTILE, "b": [1.5, None, "\u2028"]}
+    text = embedded(data)
+    assert json.loads(text) == data
+    assert not set("<>&\u2028") & set(text)
+
+
+def test_the_page_of_a_long_run_stays_small() -> None:
+    run = short_run()
+    n = 100_000
+    rng = np.random.default_rng(0)
+    long = Run(
+        lemniscate(200.0),
+        0.02 * np.arange(n),
+        *(100.0 * rng.standard_normal((n, k)) for k in (8, 3, 3, 2, 2)),
+        *100.0 * rng.standard_normal((3, n)),
+        np.zeros((n, 3)),
+        "laps done",
+        "1 laps are driven",
+    )
+    data = data_of(page("long", (), long, SUMMIT))
+    assert len(data["t"]) == 6000  # type: ignore[arg-type]
+    assert data["t"][-1] == pytest.approx(long.t[-1], abs=1e-3)  # type: ignore[index]
+    assert len(page("long", (), long, SUMMIT)) < 3e6
+    assert data["near"] is True
+    assert data_of(page("short", (), run, SUMMIT))["near"] is False
