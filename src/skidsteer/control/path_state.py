@@ -150,7 +150,7 @@ def finite(name: str, values: ArrayLike) -> tuple[float, float, float]:
         DataError: they are not three finite numbers.
     """
     three = values if isinstance(values, tuple) else np.asarray(values, dtype=float).ravel().tolist()
-    if len(three) != 3 or not all(math.isfinite(value) for value in three):
+    if len(three) != 3 or not (math.isfinite(three[0]) and math.isfinite(three[1]) and math.isfinite(three[2])):
         raise DataError(f"the {name} is {three}, not three finite numbers; stop until it is known again")
     return three[0], three[1], three[2]
 

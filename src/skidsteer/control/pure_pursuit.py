@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from skidsteer.control.path_state import Command, PathState, elapsed, finite, require_positive
+from skidsteer.kernels import paths as kernels
 from skidsteer.paths import Path
 
-REACH = np.linspace(0.0, 2.0, 41)  # of the lookahead distance, along the path, where its end is looked for
+STEPS = 20  # of the lookahead distance, along the path, where its end is looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,25 +124,10 @@ def lookahead_point(state: PathState, pose: tuple[float, float, float], distance
     Returns:
         x ahead and y to the left [m], seen in the direction of driving.
     """
-    last = state.s + state.remaining
-    points = state.path.at(np.minimum(state.s + distance * REACH, last))[:, :2]
-    dx, dy = points[:, 0] - pose[0], points[:, 1] - pose[1]
-    squared = dx * dx + dy * dy
-    beyond = squared >= distance**2
-    i = int(beyond.argmax()) if beyond.any() else len(beyond) - 1
-    x, y = float(dx[i]), float(dy[i])
-    if i > 0 and beyond[i]:
-        x, y = _crossing((float(dx[i - 1]), float(dy[i - 1])), (x, y), distance)
+    path, last = state.path, state.s + state.remaining
+    dx, dy = kernels.ahead(path.knots, path.closed, state.s, last, pose[0], pose[1], distance, STEPS)
     cos, sin = state.direction * math.cos(pose[2]), state.direction * math.sin(pose[2])
-    return cos * x + sin * y, cos * y - sin * x
-
-
-def _crossing(inside: tuple[float, float], outside: tuple[float, float], radius: float) -> tuple[float, float]:
-    """Where the leg from a point inside a circle about the origin to one outside of it crosses the circle."""
-    (x, y), dx, dy = inside, outside[0] - inside[0], outside[1] - inside[1]
-    half, rest = x * dx + y * dy, radius**2 - x**2 - y**2
-    share = rest / (half + math.sqrt(half**2 + (dx**2 + dy**2) * rest))
-    return x + share * dx, y + share * dy
+    return cos * dx + sin * dy, cos * dy - sin * dx
 
 
 def arc_curvature(x: float, y: float) -> float:

@@ -131,7 +131,7 @@ class Judge:
             state = PathState.begin(self._path, placed)
             self._begun = state.s
         else:
-            state = PathState(self._path, self.s).projected(placed)
+            state = PathState(self._path, self._path.project(placed[:2], near=self.s))
         self.s = state.s
         return path_error(state, placed)
 

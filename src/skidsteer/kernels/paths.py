@@ -164,3 +164,29 @@ def project(knots: FloatArray, closed: bool, x: float, y: float, near: float, wi
     if known and closed:
         s += length * round((near - s) / length)
     return float(s)
+
+
+@njit(cache=True)
+def ahead(
+    knots: FloatArray, closed: bool, s: float, last: float, x: float, y: float, distance: float, steps: int
+) -> tuple[float, float]:
+    """From (x, y) to the first point of the path, from s on, that is a distance away; of the chords of its steps.
+
+    The path is looked at every ``distance / steps`` for twice the distance, and up to ``last``. Where it begins farther
+    away it is the point at s, where none is so far away the last one looked at.
+    """
+    at = np.empty(5)
+    near_x, near_y = 0.0, 0.0
+    for k in range(2 * steps + 1):
+        point(knots, closed, min(s + k * distance / steps, last), at)
+        dx, dy = at[0] - x, at[1] - y
+        rest = distance**2 - dx * dx - dy * dy
+        if rest <= 0.0 and k == 0:
+            return dx, dy
+        if rest <= 0.0:  # the chord from within a circle about (x, y) crosses it
+            leg_x, leg_y = dx - near_x, dy - near_y
+            half, within = near_x * leg_x + near_y * leg_y, distance**2 - near_x**2 - near_y**2
+            share = within / (half + math.sqrt(half**2 + (leg_x**2 + leg_y**2) * within))
+            return near_x + share * leg_x, near_y + share * leg_y
+        near_x, near_y = dx, dy
+    return near_x, near_y
