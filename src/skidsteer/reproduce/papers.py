@@ -45,6 +45,11 @@ PAPERS: dict[str, Paper] = {
     "thalmann2016": Paper(
         "Thalmann and Neuner 2016, In-Field Calibrated Odometry for Skid-Steered Mobile Robots, MCG", "thalmann2016"
     ),
+    "huskic2017": Paper(
+        "Huskić, Buck, Zell 2017, Path following control of skid-steered wheeled mobile robots at higher speeds on"
+        " different terrain types, ICRA",
+        "huskic2017",
+    ),
 }
 
 
