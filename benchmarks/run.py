@@ -16,6 +16,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: all that is timed runs on one thread
 
 import filters
+import following
 import processes
 import speed
 
@@ -42,6 +43,7 @@ def main() -> None:
     seconds, robust = speed.robust_fit(drive, windows)
     stages = speed.stages(drive, windows, options.repeats)
     filtering = filters.compare(options.repeats)
+    paths = following.measure(options.repeats)
     memory = {what: processes.peak_memory(what) for what in ("squares", "robust")}
     starts = processes.start_times(options.repeats)
     rows = [
@@ -56,6 +58,7 @@ def main() -> None:
         ),
         Row("memory of the full robust fit, over the samples", _x(memory["robust"]), "4", memory["robust"] < 4.0),
         *_filter_rows(filtering),
+        *_follow_rows(paths),
         Row("`skidsteer --help`", _s(starts["help"]), "0.5 s", starts["help"] < 0.5),
     ]
     more = [
@@ -71,6 +74,8 @@ def main() -> None:
         ("moments alone, from the log on", _s(gather)),
         *((what, _s(times)) for what, times in stages.items()),
         ("a step of the same filter with filterpy", _us(filtering.filterpy)),
+        *((f"a step of {name} from Python", _us(seconds)) for name, seconds in paths.steps.items()),
+        *((f"a second of the loop on {name}, by huskic", _s(1.0 / ratio)) for name, ratio in paths.plants.items()),
         (
             f"full robust fit, {robust.iterations} iterations, {'' if robust.converged else 'not '}converged",
             _s(seconds),
@@ -116,6 +121,15 @@ def _filter_rows(times: filters.FilterTimes) -> Iterator[Row]:
     yield Row("one live step of it from Python (`predict`)", _us(times.live), "5 us", times.live < 5e-6)
 
 
+def _follow_rows(times: following.FollowTimes) -> Iterator[Row]:
+    law, step = max(times.steps.items(), key=lambda item: item[1])
+    what = f"path following, the slowest law ({law}): advance, command and rim speeds from Python"
+    yield Row(what, _us(step), "50 us", step < 50e-6)
+    law, ratio = min(times.loops.items(), key=lambda item: item[1])
+    what = f"closed loop at 50 Hz on the kinematic plant, the slowest law ({law}), times real time"
+    yield Row(what, _x(ratio), "500", ratio > 500.0)
+
+
 def _document(rows: list[Row], more: list[tuple[str, str]], fits: speed.FitComparison) -> Iterator[str]:
     yield "# Benchmarks\n"
     yield "Written by `make bench` (`benchmarks/run.py`); nothing here is edited by hand.\n"
@@ -155,6 +169,8 @@ NOTES = (
     "- The filter (`odometry.icr_filter`) replays all samples with a reference at 5 Hz: the steps are cut at wheel and"
     " reference stamps, means of all states and covariances of the poses are kept. filterpy's `ExtendedKalmanFilter`"
     " makes the same steps over the first hundredth of the samples, cut beforehand for free.",
+    "- Closed loops follow the lemniscate of Huskić 2017, a lap, with poses that are noisy and 60 ms late and wheels"
+    " that lag by 0.1 s; every sample is recorded and judged. Best of the repetitions.",
     "- Memory is the rise of the resident set at its peak, in a process that has the drive loaded and the loops"
     " compiled, over the bytes of t, v_left and v_right (24 MB).",
     "- The robust fit keeps distance, derivative by the lag and duration of each step (40 bytes a sample), takes"
