@@ -221,6 +221,17 @@ def test_a_pose_that_is_no_number_counts_as_none() -> None:
     assert moving.sent == (0.0, 0.0)
 
 
+def test_a_twist_that_is_no_number_is_taken_for_the_one_sent() -> None:
+    driver = Driver(controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
+    moving = driver.drive(Memory(), (1.0, 0.1, 0.0), (0.0, 0.0, 0.0), 0.02)
+    assert moving.realised[1] < -0.05
+    reckoned = driver.drive(moving, None, (math.nan, 0.0, 0.0), 0.04).known
+    v, omega = moving.realised
+    assert reckoned is not None
+    assert_allclose(reckoned.pose, compose((1.0, 0.1, 0.0), exp(np.array([v, 0.0, omega]) * 0.04)), atol=1e-12)
+    assert driver.drive(moving, (1.02, 0.1, 0.0), (0.5, math.inf, 0.0), 0.02).sent != (0.0, 0.0)
+
+
 def test_no_time_changes_nothing() -> None:
     for controller in controllers(WHEELS).values():
         driver = Driver(controller, WHEELS, EIGHT, acceleration=2.0)

@@ -13,7 +13,7 @@ from typing import Generic
 from skidsteer.control import Command, Controller, Wheels
 from skidsteer.control.path_state import State
 from skidsteer.errors import RequestError
-from skidsteer.follow.known_pose import KnownPose
+from skidsteer.follow.known_pose import KnownPose, finite
 from skidsteer.follow.sensing import Triple, twist_function
 from skidsteer.paths import Path
 
@@ -58,9 +58,10 @@ class Driver(Generic[State]):
         Args:
             before: of the last sample; ``Memory()`` at the beginning.
             seen: pose that was told; None or not finite: none.
-            twist: measured.
+            twist: measured; where it is not finite the one that was sent last is taken for it.
             dt: [s] since the last sample.
         """
+        twist = twist if finite(twist) else (before.realised[0], 0.0, before.realised[1])
         known = KnownPose.first(seen) if before.known is None else before.known.after(dt, twist, seen)
         if known is None:
             return self._sent(before, None, None, STANDING, dt)

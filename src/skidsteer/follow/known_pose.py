@@ -21,7 +21,7 @@ class KnownPose:
     @classmethod
     def first(cls, seen: Triple | None) -> KnownPose | None:
         """The first pose that is told, as soon as one is."""
-        return cls(seen) if seen is not None and _finite(seen) else None
+        return cls(seen) if seen is not None and finite(seen) else None
 
     @property
     def caution(self) -> float:
@@ -30,7 +30,7 @@ class KnownPose:
 
     def after(self, dt: float, twist: Triple, seen: Triple | None) -> KnownPose:
         """Dt [s] later: the pose seen, or where a measured twist brought it. One that is not finite counts as none."""
-        if seen is not None and _finite(seen):
+        if seen is not None and finite(seen):
             return KnownPose(seen)
         x, y, yaw = self.pose
         v_x, v_y, omega = twist
@@ -41,5 +41,6 @@ class KnownPose:
         return KnownPose(moved, self.age + dt)
 
 
-def _finite(pose: Triple) -> bool:
+def finite(numbers: Triple) -> bool:
+    """Whether all three are."""
     return math.isfinite(pose[0] + pose[1] + pose[2])
