@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -225,6 +226,14 @@ def linear(f: IcrFilter, start: FilterState, wheels: Series) -> tuple[list[Float
         Q.append(noise)
         state = step(state.mean, state.covariance)
     return F, Q
+
+
+@pytest.mark.parametrize("run", [replay, smooth])
+def test_a_state_of_another_time_is_refused(run: Callable[..., Track]) -> None:
+    truth = simulated(turning(10.0, np.random.default_rng(2)), ASPHALT.theta, np.random.default_rng(3))
+    f = make_filter()
+    with pytest.raises(DataError, match=r"the state is one at 0\.500000 s, the wheels begin at 0\.000000 s"):
+        run(f, f.start(0.5, truth.poses[0], START), truth.log)
 
 
 def test_smoothing_helps_where_the_reference_was_lost() -> None:

@@ -47,10 +47,15 @@ def replay(filter: Filter, state: FilterState, log: Log) -> Track:
         RequestError: the state belongs to another filter.
         DataError: the state is not one at the first wheel stamp.
     """
+    _refuse_elsewhere(filter, state, log)
+    return _compiled(filter, state, log)[0] if isinstance(filter, IcrFilter) else stepwise(filter, state, log)
+
+
+def _refuse_elsewhere(filter: Filter, state: FilterState, log: Log) -> None:
+    """Refuse a state of another filter, or of another time than that of the first wheel stamp."""
     refuse_foreign(state, filter.fingerprint)
     if state.time != log.wheels.t[0]:
         raise DataError(f"the state is one at {state.time:.6f} s, the wheels begin at {log.wheels.t[0]:.6f} s")
-    return _compiled(filter, state, log)[0] if isinstance(filter, IcrFilter) else stepwise(filter, state, log)
 
 
 def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
@@ -129,10 +134,11 @@ def smooth(filter: Filter, state: FilterState, log: Log) -> Track:
 
     Raises:
         RequestError: another filter, or a state of another one.
+        DataError: the state is not one at the first wheel stamp.
     """
     if not isinstance(filter, IcrFilter) or not filter.options.adapt:
         raise RequestError("only the filter 'icr' can be smoothed; leave --smooth away")
-    refuse_foreign(state, filter.fingerprint)
+    _refuse_elsewhere(filter, state, log)
     most = sum(len(s) for s in (log.wheels, log.reference, log.gyro) if s is not None) + 1
     track, nodes, count = _compiled(filter, state, log, most)
     icr_replay.smooth(filter.setup, log.gyro_walk, nodes, count)
