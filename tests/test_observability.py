@@ -160,7 +160,7 @@ def test_advice_keeps_its_promise(rows: list[list[float]], words: str) -> None:
     promised = float(advice.split("would be known to ")[1].split()[0])
     speed = typical_speed([driven(rows)])
     (steps,) = [r for text, r in candidates(P3AT, speed, found.model).items() if text.startswith(words)]
-    _, after = judged(driven(rows, tail=advising._rims(steps)))
+    _, after = judged(driven(rows, tail=advising.played(steps, speed)))
     assert after.sentences == ()
     motion = advice.split(": ")[1].split(" would")[0]
     (reached,) = [m.sigma for m in after.motions if m.motion == motion]
@@ -186,10 +186,10 @@ def test_the_faster_manoeuvre_keeps_to_the_wheels() -> None:
     slow, quick = candidates(P3AT, 0.3, TRUTH), candidates(P3AT, 0.6, TRUTH)
     assert [text for text in slow if text.endswith("m/s")] == ["one full circle each way at 0.45 m/s"]
     assert [text for text in quick if text.endswith("m/s")] == ["one full circle each way at 0.69 m/s"]
-    for rows in (*slow.values(), *quick.values()):
-        assert np.abs(rows[:, 1:]).max() <= 0.69
-    for text, rows in slow.items():
-        moved = TRUTH.twist(rows[:, 1], rows[:, 2]) * rows[:, :1]
+    for parts in (*slow.values(), *quick.values()):
+        assert np.abs([part.rims for part in parts]).max() <= 0.69
+    for text, parts in slow.items():
+        moved = np.array([TRUTH.twist(*part.rims) * part.duration for part in parts])
         if "straight" in text:
             assert_allclose(moved[:, 0], [10.0 * 0.93, -10.0 * 0.93])  # the rims roll 10 m
         else:
@@ -207,16 +207,6 @@ def test_lasting_errors_widen_what_a_freer_model_would_know() -> None:
         for factor in (1.0, 4.0)
     ]
     assert sigmas[1] == pytest.approx(2.0 * sigmas[0], rel=0.01)
-
-
-def test_rims_of_a_manoeuvre_by_hand() -> None:
-    rims = advising._rims(np.array([[2.0, 0.4, 0.2], [1.0, -0.2, 0.2]]))
-    at = dict(zip(np.round(rims.t, 3).tolist(), rims.values.tolist(), strict=True))
-    assert_allclose([at[1.0], at[1.5], at[2.0], at[4.0]], [[0, 0], [0.2, 0.1], [0.4, 0.2], [0.4, 0.2]], atol=1e-12)
-    assert_allclose(
-        [at[4.5], at[5.0], at[6.0], at[6.5]], [[0.1, 0.2], [-0.2, 0.2], [-0.2, 0.2], [-0.1, 0.1]], atol=1e-9
-    )
-    assert rims.t[-1] == pytest.approx(8.0, abs=0.06)
 
 
 # The parts

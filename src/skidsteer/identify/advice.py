@@ -9,6 +9,7 @@ import numpy as np
 from skidsteer.calibration import MotionSigma
 from skidsteer.drive import Series
 from skidsteer.identify.judged import Judged
+from skidsteer.identify.manoeuvres import Figure, Manoeuvre, rims_of
 from skidsteer.identify.motions import ALIKE, STRAIGHT, sigmas
 from skidsteer.identify.problem import Problem
 from skidsteer.identify.unknowns import SHARED, Unknowns
@@ -20,30 +21,43 @@ from skidsteer.vehicle import Vehicle
 from skidsteer.windows import increment_windows
 
 MOST_ADVICE = 3
-RAMP = 1.0  # [s] in which a manoeuvre changes speed
-RATE = 20.0  # [Hz] of its wheel samples
+RAMP = 1.0  # [s] from rest to the speed of the drive
 FASTER = 1.5  # times the speed of the drive
 
+Parts = tuple[Manoeuvre, ...]
 
-def candidates(vehicle: Vehicle, speed: float, model: Model) -> dict[str, FloatArray]:
-    """Manoeuvres worth a try, in words, as rows of duration [s] and rim speeds left, right [m/s].
 
-    All but the last keep to the speed of the drive; that one is faster, as far as the wheels can be.
+def candidates(vehicle: Vehicle, speed: float, model: Model) -> dict[str, Parts]:
+    """Manoeuvres worth a try, in words.
+
+    All but the last keep to the speed [m/s] of the drive; that one is faster, as far as the wheels can be.
     """
-    straight, turn = STRAIGHT / speed, 4.0 * np.pi / abs(float(model.twist(-speed, speed)[2]))
+    straight = _held(model, speed, speed, STRAIGHT / speed)
     fast = max(min(FASTER * speed, vehicle.max_wheel_speed or np.inf), speed)
     return {
-        "one straight of 10 m there and back": np.array([[straight, speed, speed], [straight, -speed, -speed]]),
-        "two turns on the spot each way": np.array([[turn, -speed, speed], [turn, speed, -speed]]),
+        "one straight of 10 m there and back": (straight, straight.back()),
+        "two turns on the spot each way": (_turned(model, -speed, speed, 2.0), _turned(model, speed, -speed, 2.0)),
         "one full circle each way": _circles(model, speed),
         f"one full circle each way at {fast:.2g} m/s": _circles(model, fast),
     }
 
 
-def _circles(model: Model, speed: float) -> FloatArray:
-    rims = np.array([[speed / 3.0, speed], [speed, speed / 3.0]])
-    turns = np.abs(model.twist(rims[:, 0], rims[:, 1])[:, 2])
-    return np.column_stack([2.0 * np.pi / turns, rims])
+def _held(model: Model, left: float, right: float, duration: float) -> Manoeuvre:
+    v, _, omega = model.twist(left, right).tolist()
+    return Manoeuvre(v, omega, (left, right), duration)
+
+
+def _turned(model: Model, left: float, right: float, turns: float) -> Manoeuvre:
+    return _held(model, left, right, 2.0 * np.pi * turns / abs(float(model.twist(left, right)[2])))
+
+
+def _circles(model: Model, speed: float) -> Parts:
+    return _turned(model, speed / 3.0, speed, 1.0), _turned(model, speed, speed / 3.0, 1.0)
+
+
+def played(parts: Parts, speed: float) -> Series:
+    """Rim speeds of manoeuvres one after the other, between rests."""
+    return rims_of([Figure(parts)], speed / RAMP)
 
 
 def advise(
@@ -54,8 +68,8 @@ def advise(
     precision = np.asarray(np.linalg.inv(judged.covariance[np.ix_(shared, shared)]))
     slopes = slopes[:, shared[shared < judged.p]]
     tried = {
-        text: _information(judged, rows, vehicle, step)
-        for text, rows in candidates(vehicle, speed, judged.model).items()
+        text: _information(judged, played(parts, speed), vehicle, step)
+        for text, parts in candidates(vehicle, speed, judged.model).items()
     }
     advice: list[str] = []
     before = _after(slopes, precision)
@@ -76,11 +90,11 @@ def _after(slopes: FloatArray, precision: FloatArray) -> FloatArray:
     return sigmas(slopes, np.asarray(np.linalg.inv(precision)[:size, :size]))
 
 
-def _information(judged: Judged, rows: FloatArray, vehicle: Vehicle, step: float) -> FloatArray:
-    """What a manoeuvre would tell (s, s) of the free entries that all drives share; its time offset is its own."""
+def _information(judged: Judged, rims: Series, vehicle: Vehicle, step: float) -> FloatArray:
+    """What rim speeds would tell (s, s) of the free entries that all drives share; its time offset is its own."""
     found, model = judged.found, judged.model
     sensors = Sensors(reference_rate=1.0 / step, position_sigma=0.0, yaw_sigma=0.0)
-    drive = kinematic_drive("candidate", vehicle, model, _rims(rows), sensors, found.timings[0].lag)
+    drive = kinematic_drive("candidate", vehicle, model, rims, sensors, found.timings[0].lag)
     sees = judged.problem.windows[0].sees
     windows = replace(increment_windows(drive), sees="pose" if sees == "turn" else sees)
     one = judged.p + len(SHARED) + 4
@@ -96,13 +110,3 @@ def _information(judged: Judged, rows: FloatArray, vehicle: Vehicle, step: float
         return H
     own = H[-1, -1] + 1.0 / prior[-4] ** 2
     return np.asarray(H[:-1, :-1] - np.outer(H[:-1, -1], H[-1, :-1]) / own)
-
-
-def _rims(rows: FloatArray) -> Series:
-    """Rim speeds of a manoeuvre that begins and ends at rest, with ramps between."""
-    held = np.insert(rows[:, 1:], [0, len(rows)], 0.0, axis=0).repeat(2, axis=0)
-    durations = np.concatenate([[RAMP], rows[:, 0], [RAMP]])
-    starts = np.cumsum(durations + RAMP) - durations - RAMP
-    corners = np.stack([starts, starts + durations], axis=1).ravel()
-    t = np.arange(0.0, corners[-1], 1.0 / RATE)
-    return Series(t, np.stack([np.interp(t, corners, side) for side in held.T], axis=1), "wheels")
