@@ -9,10 +9,10 @@ from scipy.stats import chi2
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError
 from skidsteer.identify.calibrate import calibrate
-from skidsteer.identify.least_squares import Fit, FitOptions, find_offset, fit
-from skidsteer.models import Differential, Icr, SymmetricIcr
+from skidsteer.identify.least_squares import Fit, FitOptions, find_offset, fit, fit_supported
+from skidsteer.models import Differential, Icr, ScheduledIcr, SymmetricIcr
 from skidsteer.noise import EPISODE, Noise
-from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH, sample
+from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH, on_ground, sample
 from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.simulate import Sensors, controller, kinematic_drive, rims_from_manoeuvres
 from skidsteer.terramechanics.dynamics import terramechanic_drive
@@ -532,3 +532,16 @@ def test_a_short_drive_that_no_constant_describes_is_known_less_well() -> None:
 def test_stretches_are_of_ten_seconds_where_the_drive_has_enough_of_them() -> None:
     long = sample("p3at-lab")
     assert fit(Icr.nominal(long.vehicle), [long], [increment_windows(long)]).block == 10.0
+
+
+def test_a_term_that_stands_at_its_bound_is_left_out() -> None:
+    """Slow on simulated grass, gains at speed make up for what no term describes: 0.5 is all that they may be."""
+    drive = on_ground("pioneer-p3at", "grass", (0.2, 0.3, 0.4), (0.3, 0.6))
+    model, windows = ScheduledIcr.nominal(drive.vehicle), increment_windows(drive)
+    without = replace(DEFAULT, without=("load_gain",))
+    value, sigma = fit(model, [drive], [windows], without).named("yaw_gain")
+    assert value == 0.5
+    assert sigma < 0.1  # by its sigma alone it would be kept
+    kept = fit_supported(model, [drive], [windows], without)
+    assert kept.named("yaw_gain") == (0.0, 0.0)
+    assert all(kept.named(name)[1] > 0.0 for name in ("turn_loss", "side_slip"))

@@ -113,12 +113,15 @@ def fit_supported(model: Model, drives: list[Drive], windows: list[Windows], opt
     """As ``fit``, with only those of the model's optional parameters that the drives support.
 
     Backward elimination: the least significant one by the honest covariance is left out (stays nominal) and the rest is
-    fitted again, until every one that is left differs from nominal by ``SUPPORTED`` sigmas.
+    fitted again, until every one that is left differs from nominal by ``SUPPORTED`` sigmas. One that is pressed against
+    a bound of what is credible makes up for something else: it goes first.
     """
+    limits = dict(zip((p.name for p in model.PARAMETERS), type(model).bounds(drives[0].vehicle).tolist(), strict=True))
     while True:
         found = fit(model, drives, windows, options)
         left = [name for name in model.OPTIONAL if name not in options.without]
         strength = {name: abs(_difference(found, model, name)) for name in left}
+        strength |= {name: 0.0 for name in left if found.named(name)[0] in limits[name]}
         if not strength or min(strength.values()) >= SUPPORTED:
             return found
         options = replace(options, without=(*options.without, min(strength, key=lambda name: strength[name])))
