@@ -43,4 +43,4 @@ class KnownPose:
 
 def finite(numbers: Triple) -> bool:
     """Whether all three are."""
-    return math.isfinite(pose[0] + pose[1] + pose[2])
+    return math.isfinite(numbers[0] + numbers[1] + numbers[2])
