@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import bag_files
 from conftest import Call
 from skidsteer.control import Wheels
-from skidsteer.errors import RequestError
+from skidsteer.errors import DataError, RequestError
 from skidsteer.evaluation import evaluate
 from skidsteer.follow import Jump, Run, Sensing, follow
 from skidsteer.follow.animation import embedded, page
@@ -25,7 +26,7 @@ from skidsteer.follow.words import SHAPES, parse_jumps, parse_spans, parse_start
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.io.calibration_file import save_calibration
 from skidsteer.io.drives import load_drive
-from skidsteer.io.waypoints import read_path
+from skidsteer.io.waypoints import read_path, spaced
 from skidsteer.models import Icr
 from skidsteer.paths import lemniscate, line
 from skidsteer.plants import point_contacts
@@ -216,6 +217,49 @@ def test_waypoints_that_meet_are_closed(tmp_path: Path) -> None:
     file.write_text("x,y\n0,0\n0,0\n4,4\n")
     with pytest.raises(Exception, match=r"p\.csv: waypoints 1 and 2 are the same point"):
         read_path(file)
+
+
+def plan_messages(
+    points: list[tuple[float, float]], topic: str = "/plan", ns: int = 1_000_000_000
+) -> bag_files.Message:
+    header = (ns, "map")
+    poses = [{"header": header, "pose": bag_files.pose(x, y, 0.0)} for x, y in points]
+    return bag_files.Message(topic, "nav_msgs/msg/Path", ns, {"header": header, "poses": poses})
+
+
+@pytest.mark.parametrize("kind", ["rosbag1", "sqlite3", "mcap"])
+def test_the_last_plan_in_a_bag(tmp_path: Path, kind: str) -> None:
+    dense = [(0.02 * i, float(np.sin(0.02 * i))) for i in range(200)]
+    file = bag_files.write_messages(
+        tmp_path / "plan", kind, [plan_messages([(0.0, 0.0), (1.0, 0.0)]), plan_messages(dense, ns=3_000_000_000)]
+    )
+    found = read_path(file)
+    assert_allclose(found.at([0.0, found.length])[:, :2], [dense[0], dense[-1]], atol=1e-6)
+    x, y, _ = found.at(np.linspace(0.0, found.length, 50)).T
+    assert_allclose(y, np.sin(x), atol=6e-3)  # a natural spline ends straight
+    assert read_path(file, topic="/plan").length == found.length
+
+
+def test_plans_that_cannot_be(tmp_path: Path) -> None:
+    two = bag_files.write_messages(
+        tmp_path / "two", "mcap", [plan_messages([(0.0, 0.0)], topic) for topic in ("/plan", "/local_plan")]
+    )
+    with pytest.raises(RequestError, match=r"need one topic with nav_msgs/msg/Path; there are: /plan, /local_plan"):
+        read_path(two)
+    with pytest.raises(RequestError, match=r"need topic /a with nav_msgs/msg/Path; there are:"):
+        read_path(two, topic="/a")
+    with pytest.raises(DataError, match=r"a path needs at least 2 different waypoints, got 1"):
+        read_path(two, topic="/plan")
+    none = bag_files.write_messages(tmp_path / "none", "mcap", [plan_messages([(0.0, float("nan"))])])
+    with pytest.raises(DataError, match=r"/plan has no plan with finite points; record one, or write a CSV"):
+        read_path(none)
+
+
+def test_dense_waypoints_are_spaced() -> None:
+    points = np.column_stack([0.1 * np.arange(12), np.zeros(12)])
+    assert_allclose(spaced(points, 0.25)[:, 0], [0.0, 0.3, 0.6, 1.1])
+    assert_allclose(spaced(points[:2], 0.25)[:, 0], [0.0, 0.1])
+    assert len(spaced(np.empty((0, 2)))) == 0
 
 
 def test_a_ground_tells_its_words() -> None:

@@ -14,7 +14,7 @@ from skidsteer.cli.words import Json, Profile, app, folder
 @app.command()
 def follow(
     path: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="lemniscate, stadium, line, or CSV of waypoints x, y [m]")
+        str, typer.Option(metavar="NAME|FILE", help="lemniscate, stadium, line, CSV of waypoints x, y [m], or bag")
     ],
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="write drive/, follow.json, follow.html, way.svg, errors.svg there")
@@ -36,6 +36,7 @@ def follow(
     profile: Profile = None,
     size: Annotated[float | None, typer.Option(metavar="M", help="of a named path")] = None,
     closed: Annotated[bool, typer.Option("--closed", help="waypoints go on from the last to the first")] = False,
+    topic: Annotated[str | None, typer.Option(metavar="NAME", help="of the nav_msgs/Path in a bag")] = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="drive with the rear ahead")] = False,
     start: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]", help="[m, rad]; none: on the path")] = None,
     laps: Annotated[float, typer.Option(help="of a closed path")] = 1.0,
@@ -67,7 +68,7 @@ def follow(
     from skidsteer.terramechanics.terrain import parse_ground
 
     robot, ground = find_vehicle(vehicle), parse_ground(terrain)
-    course = read_path(path, closed) if path.endswith(".csv") else words.shape(path, size)
+    course = words.shape(path, size) if path in words.SHAPES else read_path(words.file(path), closed, topic)
     if calibration is None:
         belief = believed(plant, robot, ground)
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 
 from skidsteer.errors import RequestError
@@ -20,15 +21,26 @@ SHAPES: dict[str, tuple[float, Callable[[float], Path]]] = {  # size [m] unless 
 
 
 def shape(name: str, size: float | None) -> Path:
-    """A path by name, of a size [m]: from end to end, or of its straights.
+    """A path of ``SHAPES``, of a size [m]: from end to end, or of its straights.
 
     Raises:
-        RequestError: no such path, or a size that is not positive.
+        RequestError: a size that is not positive.
     """
-    if name not in SHAPES:
-        raise RequestError(f"no path '{name}'; there are: {', '.join(SHAPES)}, or give a CSV file with columns x, y")
     usual, make = SHAPES[name]
     return make(usual if size is None else size)
+
+
+def file(name: str) -> str:
+    """The name of a file that is there.
+
+    Raises:
+        RequestError: it is not, nor is it a path of ``SHAPES``.
+    """
+    if not os.path.exists(name):
+        raise RequestError(
+            f"no path '{name}'; there are: {', '.join(SHAPES)}, or give a CSV file with columns x, y, or a bag"
+        )
+    return name
 
 
 def parse_jumps(text: str) -> tuple[Jump, ...]:
