@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,54 +9,15 @@ import numpy as np
 from skidsteer.calibration import Calibration
 from skidsteer.figures.material import Material
 from skidsteer.figures.sheet import BLACK, BLUE, COLUMN, GREY, VERMILION, blank, to_scale
-from skidsteer.models import Model
-from skidsteer.se2 import FloatArray
+from skidsteer.report.treads import ellipse, tread_icrs
+from skidsteer.se2 import FloatArray, rotate
 from skidsteer.vehicle import PRESETS, Vehicle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Sheet
 
-SLOW = 0.05  # [m/s] of the rims, at which a model that depends on the speed is shown
-LIMIT = 5.991  # chi-square with two degrees of freedom, 95 %
-STEP = 1e-6  # of a parameter, in finite differences
 LENGTH = 0.8  # wheel base over track width where the vehicle does not tell its own
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TreadIcrs:
-    """Where the treads stand still on the ground in a slow turn on the spot: rows left, right of x, y [m]."""
-
-    place: FloatArray  # (2, 2)
-    covariance: FloatArray  # (2, 2, 2)
-
-    @property
-    def distance(self) -> float:
-        """Between the two [m]: the track width of the equal differential drive."""
-        return float(self.place[0, 1] - self.place[1, 1])
-
-
-def tread_icrs(calibration: Calibration) -> TreadIcrs:
-    """Tread ICRs of any model with their covariance, by central differences over its parameters."""
-    model = calibration.model
-    names = [p.name for p in model.PARAMETERS]
-    index = [calibration.names.index(name) for name in names]
-    theta, columns = model.theta, []
-    for i in range(len(names)):
-        step = STEP * np.eye(len(names))[i]
-        columns.append((_places(model.with_theta(theta + step)) - _places(model.with_theta(theta - step))) / (2 * STEP))
-    jacobian = np.moveaxis(np.array(columns).reshape(-1, 2, 2), 0, -1)
-    covariance = jacobian @ calibration.covariance[np.ix_(index, index)] @ np.swapaxes(jacobian, -1, -2)
-    return TreadIcrs(_places(model), covariance)
-
-
-def _places(model: Model) -> FloatArray:
-    """Mandow 2007, Eqs. (2)-(5), in REP-103: x = -v_y / omega, y = (v_x - alpha V) / omega of each tread."""
-    values = {p.name: float(v) for p, v in zip(model.PARAMETERS, model.theta, strict=True)}
-    common = values.get("alpha", 1.0)
-    v_x, v_y, omega = model.twist(-SLOW, SLOW)
-    rims = (-SLOW * values.get("alpha_left", common), SLOW * values.get("alpha_right", common))
-    return np.array([[-v_y / omega, (v_x - rim) / omega] for rim in rims])
 
 
 def draw_robot_icrs(material: Material) -> Sheet:
@@ -76,7 +36,7 @@ def draw_robot(axes: Axes, calibration: Calibration) -> None:
     _measure(axes, (half, -half), low - gap, f"track width {vehicle.track_width:.2f} m", VERMILION)
     for (x, y), covariance in zip(icrs.place, icrs.covariance, strict=True):
         axes.plot([y, y], [x, low - 2.3 * gap], color=BLUE, linewidth=0.5, linestyle=(0, (2, 2)))
-        axes.fill(*_ellipse(x, y, covariance), facecolor=BLUE, alpha=0.3, edgecolor=BLUE, linewidth=0.8)
+        axes.fill(*_outline(x, y, covariance), facecolor=BLUE, alpha=0.3, edgecolor=BLUE, linewidth=0.8)
     axes.plot(icrs.place[:, 1], icrs.place[:, 0], "o", color=BLUE, markersize=2.5)
     _measure(
         axes, (icrs.place[0, 1], icrs.place[1, 1]), low - 2.3 * gap, f"turns as if {icrs.distance:.2f} m wide", BLUE
@@ -127,10 +87,9 @@ def _measure(axes: Axes, ends: tuple[float, float], x: float, text: str, colour:
     axes.annotate(text, (0.5 * sum(ends), x), (0, -2), textcoords="offset points", color=colour, ha="center", va="top")
 
 
-def _ellipse(x: float, y: float, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Outline of the 95 % ellipse as y, x, the way it is drawn."""
-    values, vectors = np.linalg.eigh(covariance)
+def _outline(x: float, y: float, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The 95 % ellipse as y, x, the way it is drawn."""
+    a, b, direction = ellipse(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, 73)
-    circle = np.sqrt(LIMIT * np.clip(values, 0.0, None))[:, None] * np.stack([np.cos(angle), np.sin(angle)])
-    forward, left = vectors @ circle
+    forward, left = rotate(direction, np.column_stack([a * np.cos(angle), b * np.sin(angle)])).T
     return y + left, x + forward

@@ -10,41 +10,44 @@ import numpy as np
 from skidsteer.drive import Drive
 from skidsteer.figures.material import Material
 from skidsteer.figures.robot import draw_robot
-from skidsteer.figures.sheet import BLACK, BLUE, COLUMN, PAGE, VERMILION, blank, to_scale
+from skidsteer.figures.sheet import BLACK, BLUE, COLUMN, DASHES, PAGE, VERMILION, blank, to_scale
 from skidsteer.models import Differential, Model
 from skidsteer.se2 import FloatArray, chain, compose, invert
-from skidsteer.windows import Timing, Windows, judging_pairs, predict
+from skidsteer.windows import Mount, Timing, Windows, judging_pairs, predict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Sheet
 
 ENDLESS = 1e9  # [s]
+CENTRE = Mount()
+MOST = 24  # segments of a drive that are shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reckoned:
     """Dead reckoning over the stretches of a drive, each from where the reference has it at its beginning."""
 
-    lines: tuple[FloatArray, ...]  # (n, 3) poses at the reference's stamps
-    ends: FloatArray  # (k,) [m] by which the end of each stretch is off
+    lines: tuple[FloatArray, ...]  # (n, 3) poses at the reference's stamps, of each stretch
+    reference: tuple[FloatArray, ...]  # (n, 3)
 
     @property
     def off(self) -> float:
-        """Root mean square of the ends [m]."""
-        return float(np.sqrt(np.mean(self.ends**2)))
+        """By how much the stretches end wrong [m], root mean square."""
+        ends = np.array([line[-1] - seen[-1] for line, seen in zip(self.lines, self.reference, strict=True)])
+        return float(np.sqrt(np.mean(ends[:, 0] ** 2 + ends[:, 1] ** 2)))
 
 
-def reckoned(model: Model, drive: Drive, timing: Timing, restart: float) -> Reckoned:
+def reckoned(model: Model, drive: Drive, timing: Timing, restart: float, mount: Mount = CENTRE) -> Reckoned:
     """Dead reckoning of a drive with reference poses, begun anew every ``restart`` [s] (0: never)."""
     assert drive.pose is not None
     t, poses = drive.pose.t, drive.pose.values
-    lines, ends = [], []
+    lines, reference = [], []
     for i, j in judging_pairs(drive, t, restart or ENDLESS):
         steps = Windows(t[i:j], t[i + 1 : j + 1], np.zeros((j - i, 3)), np.ones(j - i, bool))
-        lines.append(chain(predict(model, drive.wheels, steps, timing), poses[i]))
-        ends.append(np.hypot(*(lines[-1][-1] - poses[j])[:2]))
-    return Reckoned(tuple(lines), np.array(ends))
+        lines.append(chain(mount.seen(predict(model, drive.wheels, steps, timing)), poses[i]))
+        reference.append(poses[i : j + 1])
+    return Reckoned(tuple(lines), tuple(reference))
 
 
 def draw_trajectory(material: Material) -> Sheet:
@@ -64,27 +67,31 @@ def draw_before_after(material: Material) -> Sheet:
 
 
 def draw_drive(axes: Axes, material: Material, drive: Drive) -> None:
-    """Reference, nominal and calibrated dead reckoning, turned so that the drive begins along x."""
+    """Reference, nominal and calibrated dead reckoning, turned so that the drive begins along x.
+
+    Of a drive of separate segments ``MOST`` are shown, each from its own start.
+    """
     assert drive.pose is not None
-    calibration = material.calibration
+    known = material.calibration
+    ways = ((Differential.nominal(known.vehicle), Timing(), CENTRE), (known.model, known.timing, known.mount))
+    nominal, after = (reckoned(model, drive, timing, material.restart, mount) for model, timing, mount in ways)
+    every = max(len(after.lines) // MOST, 1) if drive.segments is not None else 1
     home = invert(drive.pose.values[0])
-    nominal = reckoned(Differential.nominal(calibration.vehicle), drive, Timing(), material.restart)
-    after = reckoned(calibration.model, drive, calibration.timing, material.restart)
-    begin = "end" if not material.restart else f"ends of {material.restart:g} s"
+    for n, line in enumerate(after.reference[::every]):
+        axes.plot(*compose(home, line)[:, :2].T, color="#bbbbbb", linewidth=2.6, label=None if n else "reference")
+    end = f"ends of {material.restart:g} s" if material.restart else "end" if drive.segments is None else "ends"
     shown = (
-        (nominal, VERMILION, (0, (5, 1.5)), f"wheels, nominal: {begin} off by {nominal.off:.2f} m"),
-        (after, BLUE, "-", f"wheels, calibrated: {after.off:.2f} m"),
+        (nominal, VERMILION, DASHES[1], f"wheels, nominal: {end} off by {nominal.off:.2f} m"),
+        (after, BLUE, DASHES[0], f"wheels, calibrated: {after.off:.2f} m"),
     )
-    reference = compose(home, drive.pose.values)
-    axes.plot(*reference[:, :2].T, color=BLACK, linewidth=2.6, alpha=0.25, label="reference", solid_capstyle="round")
     for found, colour, dash, label in shown:
-        for n, line in enumerate(found.lines):
+        for n, line in enumerate(found.lines[::every]):
             x, y = compose(home, line)[:, :2].T
             axes.plot(x, y, color=colour, linestyle=dash, label=None if n else label)
             axes.plot(x[-1], y[-1], "o", color=colour, markersize=2.5)
     axes.plot(0.0, 0.0, "o", color=BLACK, markersize=4, zorder=5)
     axes.annotate("start", (0.0, 0.0), (4, 4), textcoords="offset points")
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    axes.legend(loc="upper left", borderaxespad=0.2)
     _room_above(axes)
     to_scale(axes, "x [m]", "y [m]")
 
