@@ -96,12 +96,17 @@ def _loss(calibration: Calibration, forced: Forced, settings: Settings) -> str:
     ahead, sideways = (abs(lever * found.yaw_rate) for lever in (found.y, found.x))
     lost = (
         "What is lost: the controller knows no sideways velocity, no asymmetry, no change with speed. Its odometry is"
-        f" that of the point x = {found.x:.3f} m, y = {found.y:.3f} m of base_link. Taken for base_link itself it is"
+        f" that of the point x = {_mm(found.x)} m, y = {_mm(found.y)} m of base_link. Taken for base_link itself it is"
         f" wrong by {ahead:.3f} m/s ahead and {sideways:.3f} m/s sideways at {found.yaw_rate:.2g} rad/s, which adds up"
         f" to {2.0 * arm:.3f} m at most, however far it drives."
     )
     beside = "" if is_linear else " What the model makes of speed is lost beside that."
     return comment(lost + beside, *_figures(calibration, forced.measured), *_frame(found, settings))
+
+
+def _mm(length: float) -> str:
+    """Metres to the millimetre, without a sign at zero."""
+    return f"{round(length, 3) + 0.0:.3f}"
 
 
 def _figures(calibration: Calibration, measured: Measured | None) -> tuple[str, ...]:
