@@ -15,6 +15,8 @@ from bag_files import START, VEHICLE, Message, example_drive, wheel_messages, wr
 from skidsteer.errors import DataError, RequestError, SkidSteerError
 from skidsteer.io import compressed, open_bag
 from skidsteer.io.bag import is_bag, list_bag, read_bag, read_bag_noted
+from skidsteer.io.drives import load_drive
+from skidsteer.io.folder import write_folder
 from skidsteer.io.mcap_writer import _pack
 
 MCAP = b"\x89MCAP0\r\n"
@@ -79,6 +81,21 @@ def test_folder_is_a_bag_only_with_bags_in_it(tmp_path: Path) -> None:
     assert is_bag(tmp_path / "a.mcap")
     (tmp_path / "a.db3").touch()
     assert is_bag(tmp_path)
+
+
+def test_what_a_drive_is_read_as(tmp_path: Path) -> None:
+    """A folder of bags without a list is a bag; one with wheels.csv is a drive folder, whatever bags lie in it."""
+    drive = example_drive(0.3)
+    write_bag(drive, tmp_path / "loose" / "a", "mcap")
+    (bag,) = (path for path in tmp_path.rglob("*.mcap"))
+    (bag.parent / "metadata.yaml").unlink(missing_ok=True)
+    assert len(load_drive(bag.parent, VEHICLE).wheels) == len(drive.wheels)
+    write_folder(drive, tmp_path / "folder")
+    (tmp_path / "folder" / "left.bag").touch()
+    assert load_drive(tmp_path / "folder").sha256 != load_drive(bag.parent, VEHICLE).sha256
+    (tmp_path / "A.MCAP").touch()
+    with pytest.raises(DataError, match="bags are named"):
+        load_drive(tmp_path / "A.MCAP", VEHICLE)
 
 
 # --- rosbag2 metadata

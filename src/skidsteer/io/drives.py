@@ -45,20 +45,18 @@ def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag
         return read_csv_files(names, vehicle, bag.plate)
     if not os.path.exists(text):
         raise DataError(f"{text}: no such drive; {NOT_A_DRIVE}")
-    if looks_like_a_bag(text):
+    if _is_bag(text):
         return _load_bag(text, vehicle, bag)
     if Path(text).is_dir():
         return read_folder(text, vehicle, bag.plate)
     raise DataError(f"{text}: not a drive; {NOT_A_DRIVE}")
 
 
-def looks_like_a_bag(path: str) -> bool:
-    """Whether a path is a bag by its name, or a folder by a rosbag2 recording in it; nothing is read."""
-    if Path(path).is_dir():
-        return os.path.exists(os.path.join(path, "metadata.yaml")) and not os.path.exists(
-            os.path.join(path, "wheels.csv")
-        )
-    return path.lower().endswith((".bag", ".mcap", ".db3"))
+def _is_bag(path: str) -> bool:
+    """Whether a path is a bag, and no drive folder that a bag was left in."""
+    from skidsteer.io.open_bag import is_bag
+
+    return is_bag(path) and not os.path.exists(os.path.join(path, "wheels.csv"))
 
 
 def bag_contents(path: str, options: BagOptions = AUTOMATIC) -> BagContents | None:
@@ -68,7 +66,7 @@ def bag_contents(path: str, options: BagOptions = AUTOMATIC) -> BagContents | No
         DataError: the bag cannot be read.
         RequestError: a topic that the options name is not there.
     """
-    if not looks_like_a_bag(path) or not os.path.exists(path):
+    if not _is_bag(path) or not os.path.exists(path):
         return None
     from skidsteer.io.bag import list_bag
 

@@ -29,7 +29,7 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
     """True for a file that is named like a bag, and for a folder with rosbag2's metadata or with bag files in it."""
     path = Path(path)
     if not path.is_dir():
-        return path.suffix in SUFFIXES
+        return path.suffix.lower() in SUFFIXES
     return (path / _METADATA).is_file() or any(entry.suffix in SUFFIXES for entry in path.iterdir())
 
 
