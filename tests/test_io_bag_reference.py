@@ -14,11 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from bag_files import START, VEHICLE, Message, example_drive, pose, wheel_messages, write_messages
 from skidsteer import se2
-from skidsteer.drive import Drive
+from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError, RequestError
+from skidsteer.identify.calibrate import mounting
 from skidsteer.io import tf
 from skidsteer.io.bag import BagOptions, list_bag, read_bag, read_bag_noted
 from skidsteer.io.navsat import east_north
+from skidsteer.windows import Mount
 
 NS = START * 10**9
 STEP = 100_000_000
@@ -265,3 +267,23 @@ def test_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(RequestError, match=r"pip install 'skidsteer\[bags\]'"):
         east_north(np.zeros((1, 3)))
+
+
+def test_the_place_of_the_antenna_is_where_the_sensor_sits(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    fixes = [fix(index, 45.0 + 1e-6 * index, 7.0) for index in range(3)]
+    static = tf_message(link("base_link", "gps", (-0.3, 0.2, np.pi / 2)), topic="/tf_static")
+    with_place, contents = read_bag_noted(write_messages(tmp_path / "b", "mcap", [*WHEELS, *fixes, static]), VEHICLE)
+    told = "antenna -0.300 m ahead and 0.200 m left of the base; that is taken for --mount"
+    assert any(told in note for note in contents.notes)
+    without = read_bag(write_messages(tmp_path / "c", "mcap", [*WHEELS, *fixes]), VEHICLE)
+    place = mounting([with_place], None)
+    assert place is not None
+    assert_allclose([place.x, place.y, place.yaw], [-0.3, 0.2, 0.0], atol=1e-12)
+    assert mounting([with_place], "free") is None
+    assert mounting([with_place], Mount(0.1, 0.0, 0.0)) == Mount(0.1, 0.0, 0.0)
+    assert mounting([without], None) is None
+    assert mounting([with_place, without], None) is None
+    posed = Drive("posed", VEHICLE, with_place.wheels, pose=Series(np.array([0.0, 1.0]), np.zeros((2, 3))))
+    assert mounting([posed], None) == Mount()
+    assert mounting([posed, with_place], None) is None  # sensors at two places

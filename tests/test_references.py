@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
+from skidsteer.evaluation import evaluate
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.io.drives import load_drive
@@ -205,3 +206,13 @@ def test_a_perfect_position_reference_is_judged_by_aligned_distance() -> None:
     assert np.median(errors.translation) < 0.015
     off = window_errors(Differential.nominal(P3AT), drive, Timing(DELAY, P3AT_LAG))
     assert np.median(off.translation) > np.median(errors.translation)
+
+
+def test_where_the_sensor_sits_is_kept_for_those_who_use_the_model() -> None:
+    """Given, or told by the log: a calibration that forgot it would take the antenna for the middle of the robot."""
+    drive = replace(with_positions(SYMMETRIC, 0), antenna=(MOUNT.x, MOUNT.y))
+    options = CalibrateOptions(model="icr_symmetric", spacing=0.0)
+    found = calibrate(drive, options=options)
+    assert (found.mount.x, found.mount.y, found.mount.yaw) == (MOUNT.x, MOUNT.y, 0.0)
+    assert found.estimates["mount_x"].sigma == 0.0
+    assert evaluate(found, [drive]).total.translation_m.median < 0.03

@@ -93,6 +93,7 @@ class Drive:
     labels: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (k,) further columns of the segments
     source: str = ""  # where it was read from
     sha256: str = ""  # of the files, or for a bag of the numbers read from it
+    antenna: tuple[float, float] | None = None  # [m] ahead and left: what ``position`` is of, where the log tells
 
     def __post_init__(self) -> None:
         widths = {"wheels": 2, "pose": 3, "position": 2, "gyro": 1, "command": 2, "wheel_command": 2}

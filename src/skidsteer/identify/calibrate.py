@@ -145,11 +145,13 @@ def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) ->
     Unless told, a reference with heading is taken to be of base_link, and a single antenna or prism to be somewhere.
     Motion alone cannot tell where the sensor sits from where the ICRs are: only with a mounting that is given can the
     full ICR model be found, else it is estimated together with a model that is symmetric about the origin.
+    Where the logs of all drives put their antenna at one place, it is there.
     """
     if isinstance(wanted, Mount):
         return wanted
-    positions = any(d.pose is None and d.position is not None for d in drives)
-    return None if wanted == "free" or positions else Mount()
+    places = {d.antenna if d.pose is None and d.position is not None else (0.0, 0.0) for d in drives}
+    (place, *others) = places
+    return None if wanted == "free" or others or place is None else Mount(*place)
 
 
 def candidates(drives: Sequence[Drive], options: CalibrateOptions) -> list[str]:

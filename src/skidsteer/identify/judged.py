@@ -74,7 +74,9 @@ def judge(found: Fit, drives: list[Drive], windows: list[Windows], options: FitO
     prior, names = state.prior_sigma(drives), state.names(drives)
     problem = Problem(drives, headed, turns, state, prior, free, state.bounds(drives), options)
     covariance = found.covariance if model is found.model else _covariance(problem, state, found)
-    as_fit = replace(found, model=model, names=names, covariance=covariance, prior_sigma=prior, free=free)
+    as_fit = replace(
+        found, model=model, names=names, values=state.x, covariance=covariance, prior_sigma=prior, free=free
+    )
     return Judged(problem, state, found, names, covariance, is_determined(as_fit), as_fit.told)
 
 

@@ -57,10 +57,14 @@ class Fit:
 
     @property
     def told(self) -> np.ndarray:
-        """Which entries (m,) are worth telling: the model, the lag, the time offsets, and what else was estimated."""
+        """Which entries (m,) are worth telling: model, lag, time offsets, a mounting off the origin, all estimated.
+
+        Who uses the model needs to know where the sensor sat, also where that was given.
+        """
         always = np.array([n == "lag" or n.split(":")[0] == "time_offset" for n in self.names])
         always[: len(self.model.PARAMETERS)] = True
-        return np.asarray(always | self.free)
+        mounted = np.array([n.startswith("mount_") for n in self.names]) & (self.values != 0.0)
+        return np.asarray(always | mounted | self.free)
 
     def uncertainty(self, drive: int) -> Uncertainty:
         """What a prediction of one of the drives may be wrong by."""

@@ -47,7 +47,8 @@ class BagContents:
     """What a bag offers. ``chosen`` maps each role to its topic; ``notes`` are lines to show to the user.
 
     ``antenna`` is where the GNSS antenna sits in the base, x ahead and y left [m], if static transforms tell; the
-    position reference is that of the antenna all the same. Known only when the messages have been read.
+    position reference is that of the antenna all the same, and ``Drive.antenna`` tells where it sits. Known only when
+    the messages have been read.
     """
 
     path: str
@@ -102,21 +103,28 @@ def read_bag_noted(
         notes += choice.notes()
         tables = _tables(source, choice, notes)
         parts = _parts(tables, choice, vehicle, options, notes)
-        antenna = _antenna(choice, tables, options)
+        antenna = _antenna(choice, tables, options, notes)
         contents = replace(_contents(path, source, choice, looks, notes), antenna=antenna)
     start = common_start(list(parts.values()))
     series: dict[str, Any] = {part: to_series(timed, start, part) for part, timed in parts.items()}
-    drive = Drive(_name(path), vehicle, source=os.fspath(path), sha256=_digest(parts), **series)
+    drive = Drive(_name(path), vehicle, source=os.fspath(path), sha256=_digest(parts), antenna=antenna, **series)
     return drive, contents
 
 
 def _antenna(
-    choice: Choice, tables: Mapping[BagTopic, list[Samples]], options: BagOptions
+    choice: Choice, tables: Mapping[BagTopic, list[Samples]], options: BagOptions, notes: list[str]
 ) -> tuple[float, float] | None:
     if "reference" not in choice.chosen:
         return None
     topic = choice.chosen["reference"].topics[0]
-    return antenna_place(topic, tables[topic], Frames.of(tables, options))
+    place = antenna_place(topic, tables[topic], Frames.of(tables, options))
+    if place is not None:
+        x, y = place
+        notes.append(
+            f"{shown(topic.name)}: the static transforms put the antenna {x:.3f} m ahead and {y:.3f} m left of the"
+            " base; that is taken for --mount where none is given (--mount free: estimated)"
+        )
+    return place
 
 
 def _name(path: str | os.PathLike[str]) -> str:
