@@ -93,7 +93,8 @@ def reckoners(
     """
     records = [(record.name, record.sha256) for record in calibration.provenance.drives]
     seen = [(drive.name, drive.sha256) in records for drive in drives]
-    if folds is None and drives and all(seen) and len(drives) == len(records):
+    told = all(drive.reference is not None or drive.gyro is not None for drive in drives)
+    if folds is None and drives and told and all(seen) and len(drives) == len(records):
         folds = _folds(calibration, list(drives))
     if folds is not None:
         return tuple(Reckoner(d, _parts(folds, i), folds.edges[i], True) for i, d in enumerate(drives))

@@ -236,8 +236,6 @@ def _worst(evidence: Evidence) -> str:
     kinds = {"straights": [], "curves": [], "turns on the spot": []}  # type: dict[str, list[float]]
     for judged in evidence.judged:
         size = np.abs(judged.calibrated.translation)
-        if not np.isfinite(size).any():
-            return "Against the gyro, only turns can be judged."
         half = 0.5 * evidence.calibration.vehicle.track_width
         spin = np.abs(judged.omega) * half
         kind = np.where(spin < 0.1 * np.abs(judged.v), 0, np.where(spin < np.abs(judged.v), 1, 2))
@@ -246,6 +244,8 @@ def _worst(evidence: Evidence) -> str:
     told = [
         f"{figure(float(np.median(sizes)), 2, 'm')} in {name} ({len(sizes)})" for name, sizes in kinds.items() if sizes
     ]
+    if not told:
+        return "Against the gyro alone, only turns can be judged."
     return f"Median error of the end position: {', '.join(told)}."
 
 

@@ -11,7 +11,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
 
-SLOW = 1e-3  # [m/s] of the rims in the turn on the spot that a model which depends on speed is shown at
+SLOW = 1e-4  # [m/s] of the rims in the turn on the spot that a model which depends on speed is shown at
 STEP = 1e-6  # of a parameter, in differences; upwards, as some must not be negative
 
 
