@@ -302,6 +302,16 @@ def test_a_gap_while_the_robot_moves_is_found(drive: Drive, part: str) -> None:
     assert_allclose(finding.where, [(20.0, 23.0)], atol=0.3)
 
 
+def test_a_pause_of_the_reference_is_one_where_it_comes_evenly(drive: Drive) -> None:
+    pause = without(drive, "pose", 20.0, 21.3)
+    (where,) = the("gap", pause).where
+    assert_allclose(where, (20.0, 21.3), atol=0.21)
+    assert drive.pose is not None
+    keep = np.arange(len(drive.pose)) % 10 < 4  # poses now and then, as a tracker of landmarks has them: 1.4 s between
+    uneven = replace(drive, pose=Series(drive.pose.t[keep], drive.pose.values[keep], "pose"))
+    assert not [finding for finding in examine(uneven) if finding.kind == "gap"]
+
+
 def test_clipped_readings_are_found(drive: Drive) -> None:
     assert drive.gyro is not None
     finding = the("saturated", gyro(drive, np.clip(drive.gyro.values, -0.5, 0.5)))

@@ -12,7 +12,8 @@ from skidsteer.doctor.signals import BREAK, BoolArray, sampling_period, typical
 from skidsteer.drive import Drive, Series
 from skidsteer.se2 import FloatArray, wrap
 
-REFERENCE_GAP = 1.5  # [s] increments between poses may be longer than steps of the wheels
+REFERENCE_GAPS = (1.2, 1.5)  # [s] longer than for the wheels; the last where many increments are long
+USUAL, UNUSUAL = 0.98, 2.0  # share of its increments that is usual, and how much longer than those a pause is
 MOVED = (0.1, np.radians(10.0))  # [m, rad] less than this is rest
 STOOD = 0.3  # share of the way that the speed before and after a pause promises; less says that no time went by
 SAME_HEADING = np.radians(45.0)
@@ -66,14 +67,20 @@ def pause_findings(evidence: Evidence) -> list[Finding]:
 
 
 def _pauses(series: Series, drive: Drive, part: str) -> list[Interval]:
-    least = REFERENCE_GAP if part in ("pose", "position") else BREAK
     t = series.t
+    least = _least_of_reference(t) if part in ("pose", "position") else BREAK
     index = np.flatnonzero(np.diff(t) > max(least, 5.0 * sampling_period(t)))
     pauses = [(float(t[i]), float(t[i + 1])) for i in index]
     if drive.segments is None:
         return pauses
     # Between the segments nothing needs to be recorded.
     return [(a, b) for a, b in pauses if ((drive.segments[:, 0] <= a) & (drive.segments[:, 1] >= b)).any()]
+
+
+def _least_of_reference(t: FloatArray) -> float:
+    """How long [s] a pause of a reference is at least; where it always comes unevenly, longer."""
+    usual = float(np.quantile(np.diff(t), USUAL)) if len(t) > 1 else 0.0
+    return min(max(UNUSUAL * usual, REFERENCE_GAPS[0]), REFERENCE_GAPS[1])
 
 
 def _overlap(a: Interval, b: Interval) -> bool:
