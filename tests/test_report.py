@@ -26,9 +26,10 @@ from skidsteer.models import Curvature, Differential, Icr, Linear, Model, Schedu
 from skidsteer.models.curvature import icr_coefficient
 from skidsteer.noise import Noise
 from skidsteer.report import gather, page
-from skidsteer.report.charts import chi_of_model, worst_and_some
 from skidsteer.report.drift import drift_per_10_m, yaw_per_turn
+from skidsteer.report.error_charts import worst_and_some
 from skidsteer.report.markup import Html, embedded, figure, markup, spread, tag
+from skidsteer.report.model_charts import chi_of_model
 from skidsteer.report.reckoner import Part, Reckoner, fit_options, known_vehicle, uncalibrated
 from skidsteer.report.tracks import Track, step_errors, thin, track
 from skidsteer.report.treads import ellipse, places, tread_icrs

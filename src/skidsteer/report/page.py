@@ -10,10 +10,11 @@ from importlib.resources import files
 from typing import Any
 
 from skidsteer.io.atomic import write_text
-from skidsteer.report.charts import charts
+from skidsteer.report.chart import charts
 from skidsteer.report.evidence import Evidence
 from skidsteer.report.markup import Html, embedded, tag
-from skidsteer.report.sections import Section, sections
+from skidsteer.report.section import Section
+from skidsteer.report.sections import sections
 from skidsteer.report.summary import summary
 from skidsteer.report.tracks import Track
 
