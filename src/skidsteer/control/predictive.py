@@ -1,0 +1,232 @@
+"""Ours: follow a path by a plan over the next second, made anew in each step (model predictive control).
+
+An ``Observer`` tells where the robot is now, although its pose comes late, and how it slips. A ``SpeedProfile`` tells
+how fast to drive. The plan is the yaw rates over the horizon that, by the same equations of motion, with the lag of the
+rims and within the wheels' limits, make small
+
+    integral of  y_e^2 + reach^2 sin^2(course) + effort (rate of the yaw rate asked for - that of the path)^2
+
+(``kernels.horizon``). The course is the direction in which the origin moves against the tangent, not that in which the
+robot looks: curves have no offset. Beyond a knee the offset counts in proportion, so that far from the path the robot
+comes nearer at theta_a. Facing away from the path it stands and turns, as Huskic's does.
+
+A plan is a simulated drive and no worse than the rest of the one before, so that a search that is not at its end does
+no harm. Where its cost is not finite the robot drives on with the rest of the plan before and brakes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skidsteer.control.observer import Estimate, Observer, Triple
+from skidsteer.control.path_state import (
+    Command,
+    PathState,
+    elapsed,
+    finite,
+    path_error,
+    require_positive,
+    wrapped,
+)
+from skidsteer.control.profile import Limits, SpeedProfile, rims_by_speed, speed_profile
+from skidsteer.control.speed import Wheels, icr_x_at
+from skidsteer.kernels import horizon, slip, stage
+from skidsteer.paths import Path
+from skidsteer.se2 import FloatArray
+
+APPROACH = 1.0  # [m] from the path at which the heading that leads back to it is 76 % of theta_a
+FACING, FACED = math.radians(75.0), math.radians(20.0)  # off that heading: stands and turns, until it is so near
+BEHIND = math.radians(150.0)  # off it, beyond which it goes on turning to the side to which it turns already
+SPIN = 1.5  # [rad/s] at most, of turning on the spot
+SLOW = 0.1  # [m/s] at which the calibration's icr_x is that of low speed
+BEND = 0.2  # [1/m] curvature at which rim speeds by yaw rate are told
+END = 0.5  # [s] of cost that the last row stands for
+STAGES = 60  # of a plan, at most
+WAY = 3.0  # least horizon, over reach and icr_x: a robot that turns moves its origin to the wrong side first
+ITERATIONS, TOLERANCE = 4, 1e-4  # of the search; share of the cost that one must promise to save
+
+
+@dataclass(frozen=True, slots=True)
+class PredictiveGains:
+    """What is to be weighed."""
+
+    reach: float = 0.28  # [m] of way in which an offset is taken back
+    effort: float = 4.5e-5  # [m^2 s^4] of changing the yaw rate otherwise than the path does
+    agility: float = 1.0  # how fast the slip may change, see ``Observer``
+    theta_a: float = math.pi / 4.0  # [rad] steepest approach
+
+    def __post_init__(self) -> None:
+        require_positive(self, "reach", "effort", "agility", "theta_a")
+        if not self.theta_a < 0.5 * math.pi:
+            raise ValueError(f"need theta_a below pi / 2, got {self.theta_a}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictiveState(PathState):
+    """Where on the path it is now, what is known of the robot, and the plan."""
+
+    estimate: Estimate
+    profile: SpeedProfile
+    by_turn: FloatArray  # (2, 2) rim speeds of a m/s and of a rad/s, in the direction of driving
+    stage: float  # [s] of the plan
+    asked: Command  # last speed [m/s], in the direction of driving, and yaw rate [rad/s]
+    plan: FloatArray  # (n,) [rad/s^2] rates of the yaw rate asked for
+    next: Command  # to ask for now
+    turning: bool  # on the spot
+    iterations: int  # that the plan took; -1: it is the rest of the one before
+
+
+@dataclass(frozen=True, slots=True)
+class Predictive:
+    """Path following by prediction. A twist's v_x is that of the rims by the model of ``wheels``, its omega a gyro's.
+
+    Pose and twist are taken in by ``begin`` and ``advance``; ``command`` tells what they planned.
+    """
+
+    gains: PredictiveGains
+    wheels: Wheels
+    limits: Limits
+    observer: Observer
+    period: float = 0.02  # [s] from command to command
+    horizon: float = 1.2  # [s] at least; longer where it drives so slowly that it would not come ``WAY`` far
+
+    def __post_init__(self) -> None:
+        require_positive(self, "period", "horizon")
+        if not self.period < self.horizon < math.inf:
+            raise ValueError(f"need period < horizon < inf [s], got {self.period}, {self.horizon}")
+
+    def begin(self, path: Path, pose: ArrayLike) -> PredictiveState:
+        """See ``Controller``.
+
+        Raises:
+            DataError: a pose that is not finite.
+            RequestError: a model that tells no rim speeds.
+        """
+        start = PathState.begin(path, pose)
+        speed, ahead = self.limits.speed, start.direction
+        slow, fast = (ahead * icr_x_at(self.wheels.model, ahead * v, BEND) for v in (min(SLOW, speed), speed))
+        estimate = self._observer.begin(_along(finite("pose", pose), ahead), slow, (fast - slow) / speed**2)
+        horizon = max(self.horizon, WAY * (self.gains.reach + abs(fast)) / speed)
+        step = max(self.period, horizon / STAGES)
+        straight, bent = rims_by_speed(self.wheels, ahead * speed, [0.0, BEND])
+        state = PredictiveState(
+            path,
+            start.s,
+            estimate,
+            speed_profile(path, self.wheels, self.limits),
+            np.array([straight, (bent - straight) / BEND]),
+            step,
+            (0.0, 0.0),
+            np.zeros(math.ceil(horizon / step - 1e-9)),
+            (0.0, 0.0),
+            False,
+            0,
+        )
+        return self._planned(state)
+
+    def command(self, pose: ArrayLike, twist: ArrayLike, state: PredictiveState) -> Command:
+        """See ``Controller``."""
+        finite("pose", pose), finite("twist", twist)
+        if state.arrived:
+            return 0.0, 0.0
+        v, omega = state.next
+        return state.direction * v, omega
+
+    def advance(
+        self, state: PredictiveState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command
+    ) -> PredictiveState:
+        """See ``Controller``."""
+        at, (v, _, omega) = finite("pose", pose), finite("twist", twist)
+        if elapsed(dt) == 0.0:
+            return state
+        ahead = state.direction
+        asked = ahead * commanded[0], commanded[1]
+        estimate = self._observer.advance(state.estimate, _along(at, ahead), ahead * v, omega, dt, asked[1])
+        s = state.path.project(estimate.pose[:2], near=state.s)
+        stages = np.arange(len(state.plan))
+        plan = np.interp(stages + dt / state.stage, stages, state.plan)
+        return self._planned(replace(state, s=s, estimate=estimate, asked=asked, plan=plan))
+
+    @property
+    def _observer(self) -> Observer:
+        return replace(self.observer, agility=self.gains.agility * self.observer.agility)
+
+    def _planned(self, state: PredictiveState) -> PredictiveState:
+        row, body, weights = self._row(state), self._body(state), self._weights(state)
+        e = wrapped(row[stage.THETA] + self.gains.theta_a * math.tanh(row[stage.Y] / APPROACH))
+        if abs(e) > (FACED if state.turning else FACING):
+            return self._turned(state, row, body, e)
+        plan, path = state.plan.copy(), state.path
+        rows = np.empty((len(plan) + 1, stage.ROW))
+        speeds = state.profile.speeds
+        search = path.knots, path.closed, speeds, ITERATIONS, TOLERANCE, rows
+        iterations = int(horizon.plan(row, plan, body, weights, *search))
+        if iterations == horizon.UNKNOWN:
+            return self._braked(state)
+        first = rows[0] + self.period / state.stage * (rows[1] - rows[0])
+        ask = float(first[stage.SPEED_ASKED]), float(first[stage.ASKED])
+        return replace(state, plan=plan, next=ask, turning=False, iterations=iterations)
+
+    def _turned(self, state: PredictiveState, row: FloatArray, body: FloatArray, e: float) -> PredictiveState:
+        """On the spot, towards the path."""
+        v, omega = state.asked
+        slower = max(v - self.limits.acceleration * self.period, 0.0)
+        side = math.copysign(1.0, omega if abs(e) > BEHIND and omega else -e)
+        bounds = np.empty(2)
+        body[stage.STEP] = self.period
+        stage.bounds(row, slower, body, bounds)
+        rate = min(max((side * min(SPIN, 2.0 * abs(e)) - omega) / self.period, bounds[0]), bounds[1])
+        ask = slower, omega + float(rate) * self.period
+        return replace(state, plan=np.zeros_like(state.plan), next=ask, turning=True, iterations=0)
+
+    def _braked(self, state: PredictiveState) -> PredictiveState:
+        """With the rest of the plan before, ever slower."""
+        v, omega = state.asked
+        slower = max(v - self.limits.acceleration * self.period, 0.0)
+        share = slower / v if v > 0.0 else 0.0
+        first = float(state.plan[0]) if math.isfinite(state.plan[0]) else 0.0
+        return replace(state, next=(slower, share * (omega + first * self.period)), iterations=horizon.UNKNOWN)
+
+    def _row(self, state: PredictiveState) -> FloatArray:
+        estimate = state.estimate
+        x, y, yaw = _along(estimate.pose, state.direction)
+        error = path_error(state, (x, y, yaw))
+        now, turn = estimate.now, estimate.turn
+        v, omega = state.asked
+        return np.array(
+            [
+                error.y_e,
+                error.theta_e,
+                now[slip.SIDE],
+                turn[slip.OMEGA],
+                estimate.rims,
+                omega,
+                state.s,
+                estimate.speed,
+                v,
+            ]
+        )
+
+    def _body(self, state: PredictiveState) -> FloatArray:
+        now, turn, limits = state.estimate.now, state.estimate.turn, self.limits
+        slips = now[[slip.SCALE, slip.LOSS, slip.ICR_X, slip.COMPLIANCE, slip.GIVE]]
+        bounds = self.wheels.max_speed, limits.rim_acceleration, limits.acceleration, limits.omega_max
+        body = (state.stage, self.period, self.observer.lag, *slips, *turn[1:], *state.by_turn.ravel(), *bounds)
+        return np.array(body)
+
+    def _weights(self, state: PredictiveState) -> FloatArray:
+        gains = self.gains
+        # far off, where the offset counts as 2 knee |y_e|: a course of theta_a pays for itself over the horizon
+        lasting = len(state.plan) * state.stage + END
+        knee = gains.reach**2 * math.sin(gains.theta_a) / (self.limits.speed * lasting)
+        return np.array([gains.reach, gains.effort, knee, END])
+
+
+def _along(pose: Triple, ahead: float) -> Triple:
+    """A pose turned round in reverse, and a turned one back."""
+    x, y, yaw = pose
+    return x, y, yaw if ahead > 0.0 else wrapped(yaw + math.pi)
