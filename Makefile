@@ -13,7 +13,7 @@ help:            ## this list
 
 demo: .venv/ready   ## calibrate the embedded sample (sets up first)
 	$(BIN)/skidsteer calibrate sample:p3at-lab --out build/demo
-	@echo "written: build/demo/calibration.yaml"
+	@echo "written: build/demo/calibration.yaml, and build/demo/report.html to open in a browser"
 
 test: .venv/ready   ## all tests (sets up first)
 	$(BIN)/python -m pytest
