@@ -309,6 +309,37 @@ def test_noise_has_its_sigma() -> None:
     assert_allclose(told.std(axis=0), [*by_rim, 0.02], rtol=0.05)
 
 
+def test_omega_is_the_gyros_and_v_the_wheels() -> None:
+    told = twist_meter(PLANT, Sensing(), 0)([9.0, 9.0, 0.3, 0.5, 0.7])
+    assert_allclose(told, [*PLANT.twist(0.5, 0.7)[:2], 0.3], atol=1e-12)
+
+
+def test_a_controller_is_told_what_was_sent() -> None:
+    """Not what it asked for, where the wheels cannot."""
+    told = []
+
+    class Greedy:
+        begin = staticmethod(PathState.begin)
+
+        def command(self, pose: object, twist: object, state: PathState) -> tuple[float, float]:
+            return 3.0, 0.5
+
+        def advance(self, state: PathState, *heard: object) -> PathState:
+            told.append(heard[-1])
+            return state
+
+    run = follow(RollingModel(PLANT), Greedy(), WHEELS, line(9.0), ends=Ends(time=0.5), acceleration=5.0)  # type: ignore[arg-type]
+    assert_allclose(told, PLANT.twist(*run.sent[: len(told)].T)[:, [0, 2]], atol=1e-12)
+    assert_array_equal(run.commanded, np.full((len(run.t), 2), [3.0, 0.5]))
+    assert np.abs(run.sent).max() == 1.2
+
+
+def test_a_path_shorter_than_the_tolerance_is_driven() -> None:
+    run = driven("pentzer", line(0.4))
+    assert run.outcome == "arrived"
+    assert run.states[-1, 0] > 0.38
+
+
 def test_a_nonlinear_belief_drives_too() -> None:
     belief = ScheduledIcr(0.48, -0.42, 0.1, 0.9, 0.93, 0.05, 0.1, 0.1, 0.1, 0.5)
     wheels, path = Wheels(belief, 1.2), line(1.5)

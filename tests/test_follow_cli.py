@@ -281,8 +281,16 @@ def test_every_law_drives_with_every_gains() -> None:
             assert np.abs(run.cross_track).max() < 0.05
 
 
+def test_laws_with_an_icr_are_told_where_it_is() -> None:
+    wheels = Wheels(Icr(0.48, -0.42, 0.28, 0.9, 0.93), 2.0)
+    for name in ("huskic", "pentzer"):
+        law = controller(name, "feed-forward", 0.5, Known(wheels))
+        run = follow(RollingModel(wheels.model), law, wheels, lemniscate(8.45))
+        assert np.abs(run.cross_track).mean() < 0.01, name
+
+
 def test_slow_turns_tell_the_icrs_of_a_plant() -> None:
-    found = low_speed("terramechanic", SUMMIT, parse_ground("grass,ice@3"))
+    found = low_speed("terramechanic", SUMMIT, parse_ground("grass,ice@0.5"))
     made = robot(SUMMIT)
     for curvature in (0.3, 0.7):
         rims = point_contacts(SUMMIT).wheel_speeds(0.3, 0.3 * curvature)

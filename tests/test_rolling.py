@@ -28,7 +28,7 @@ engine = pytest.mark.skipif(find_spec("mujoco") is None, reason="mujoco is not i
 SUMMIT = preset("summit-xl")
 ROWS = np.array([[0.6, 1.0, 0.0], [0.8, 0.8, 0.9], [0.6, -0.5, -1.0]])
 COMMANDS = rims_from_manoeuvres(ROWS, controller(SUMMIT), rate=50.0, acceleration=3.0)
-GROUND = parse_ground("grass,asphalt@1")
+GRASS, GROUND = parse_ground("grass"), parse_ground("grass,asphalt@1")
 MODEL = Icr(0.48, -0.42, 0.28, 0.9, 0.93)
 
 
@@ -81,9 +81,10 @@ def test_whole_steps_of_the_engine_keep_up_with_the_clock() -> None:
 @pytest.mark.parametrize("name", ["kinematic", "terramechanic", pytest.param("mujoco", marks=engine)])
 def test_a_start_elsewhere_is_the_same_way_from_there(name: str) -> None:
     start = np.array([3.0, -2.0, 2.5])
-    here, there = (stepped(begin(name, SUMMIT, parse_ground("grass"), s), COMMANDS) for s in (np.zeros(3), start))
+    here, there = (stepped(begin(name, SUMMIT, GRASS, s), COMMANDS) for s in (np.zeros(3), start))
     assert_allclose(there[:, :3], compose(start, here[:, :3]), atol=2e-3 if name == "mujoco" else 1e-9)
     assert_allclose(there[0, :3], start)
+    assert_allclose(begin(name, SUMMIT, GRASS, start).step((0.0, 0.0), 0.0)[:3], start, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["kinematic", "terramechanic", pytest.param("mujoco", marks=engine)])
