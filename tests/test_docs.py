@@ -100,7 +100,7 @@ def test_every_command_runs_and_prints_what_is_told(name: str, folder: Path, cal
     for block in found:
         if "warthog-asphalt" in block.command and not (folder / "warthog-asphalt").exists():
             continue
-        words = ["sample:p3at-lab" if word.endswith(".mcap") else word for word in block.command.split()[1:]]
+        words = ["other_drive" if word.endswith(".mcap") else word for word in block.command.split()[1:]]
         code, out, err = call(*words)
         assert code == 0, (block.command, err)
         assert missing(block, out) is None, (block.command, missing(block, out), out)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,41 +16,18 @@ from numpy.testing import assert_allclose
 
 import skidsteer
 from conftest import Call
-from ros_controller import CONTROLLER_PARAMETERS, EKF_PARAMETERS, Controller
+from exports import HUSKY, ICR, made, parameters
+from ros_controller import CONTROLLER_PARAMETERS, EKF_PARAMETERS
 from skidsteer import export
-from skidsteer.calibration import Calibration, DriveRecord, Estimate, Provenance
+from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.export.covariances import UNMEASURED, covariances
 from skidsteer.io.calibration_file import load_calibration, save_calibration
-from skidsteer.models import MODELS, Icr, Linear, Model, ScheduledIcr, SymmetricIcr
-from skidsteer.multipliers import usual_rims
-from skidsteer.noise import Noise
+from skidsteer.models import MODELS, Icr, Linear, ScheduledIcr
 from skidsteer.prediction import Regions
 from skidsteer.samples import sample
-from skidsteer.se2 import compose
-from skidsteer.vehicle import Vehicle, preset
-from skidsteer.windows import judging_windows, steps
-
-HUSKY = preset("husky-a200")
-ICR = Icr(0.60, -0.50, -0.08, 0.95, 0.92)
-NOISE = Noise(walk=0.05, turn=0.04, gyro=0.003)
-
-
-def made(model: Model = ICR, vehicle: Vehicle = HUSKY, names: tuple[str, ...] = ("morning",)) -> Calibration:
-    """A calibration as if it had been found."""
-    own = {p.name: Estimate(float(v), 0.01, p.unit) for p, v in zip(model.PARAMETERS, model.theta, strict=True)}
-    estimates = {**own, "lag": Estimate(0.1, 0.01, "s"), "gyro_bias": Estimate(0.001, 0.001, "rad/s")}
-    drives = tuple(DriveRecord(name, name, "", 60.0, 100, 0) for name in names)
-    return Calibration(
-        vehicle,
-        model,
-        tuple(estimates),
-        estimates,
-        1e-4 * np.eye(len(estimates)),
-        NOISE,
-        Provenance(drives, {"window": 2.0}, "skidsteer", "today"),
-    )
+from skidsteer.vehicle import preset
 
 
 @pytest.fixture(scope="module")
@@ -62,20 +38,6 @@ def drive() -> Drive:
 @pytest.fixture(scope="module")
 def calibrated(drive: Drive) -> Calibration:
     return skidsteer.calibrate(drive, model="icr")
-
-
-def parameters(text: str, node: str = "diff_drive_controller") -> dict[str, object]:
-    content = yaml.safe_load(text)
-    assert list(content) == [node]
-    assert list(content[node]) == ["ros__parameters"]
-    return dict(content[node]["ros__parameters"])
-
-
-def rms_of(text: str, row: str) -> tuple[float, float]:
-    """RMS errors [m], [deg] that a row of the comment states."""
-    found = re.search(rf"^#   {row} +([\d.]+) m +([\d.]+) deg", text, re.MULTILINE)
-    assert found, text
-    return float(found[1]), float(found[2])
 
 
 # The keys
@@ -113,121 +75,6 @@ def test_the_filter_takes_velocities_only() -> None:
 
 def test_without_a_gyro_there_is_none_to_fuse(calibrated: Calibration) -> None:
     assert "imu0" not in parameters(export.robot_localization(calibrated), "ekf_filter_node")
-
-
-# The odometry
-
-
-@pytest.mark.parametrize("feedback", ["position", "velocity"])
-@pytest.mark.parametrize("model", [SymmetricIcr(0.53, 0.94), ICR])
-def test_the_controller_moves_as_the_point_of_the_model_that_was_promised(model: Model, feedback: str) -> None:
-    """Held speeds, one after the other; the point's own path by the model, through the poses of the robot."""
-    calibration = made(model)
-    told = parameters(export.ros2_control(calibration))
-    where = export.force(calibration).projection
-    controller, angles = Controller(told), np.zeros(2)
-    robot, lever = np.zeros(3), np.array([where.x, where.y, 0.0])
-    start = compose(robot, lever)
-    rng = np.random.default_rng(4)
-    for rims in rng.uniform(-1.0, 1.0, (200, 2)):
-        twist, dt = model.twist(*rims), float(rng.uniform(0.01, 0.1))
-        robot = compose(robot, skidsteer.se2.exp(twist * dt))
-        rates = rims / HUSKY.wheel_radius
-        angles += rates * dt
-        if feedback == "position":
-            controller.position_feedback(*angles, dt)
-        else:
-            controller.velocity_feedback(*rates, dt)
-        assert controller.angular == pytest.approx(float(twist[2]), rel=1e-4, abs=1e-5)
-    point = compose(robot, lever)
-    assert_allclose([controller.x, controller.y], (point - start)[:2], atol=2e-3)  # six digits were written
-    assert controller.heading == pytest.approx(point[2], abs=1e-3)
-
-
-def test_a_symmetric_model_loses_nothing() -> None:
-    calibration = made(SymmetricIcr(0.53, 0.94))
-    where, text = export.force(calibration).projection, export.ros2_control(calibration)
-    assert_allclose([where.x, where.y], 0.0, atol=1e-12)
-    assert "Nothing of the model is lost" in text
-    controller = Controller(parameters(text))
-    assert controller.separation == pytest.approx(1.06)
-    assert controller.left_radius / HUSKY.wheel_radius == pytest.approx(0.94)
-
-
-def test_the_separation_is_the_one_of_the_robot_s_own_files() -> None:
-    """A Husky is described with 0.555 m and 1.875, though its wheels are 0.5708 m apart."""
-    told = parameters(export.ros2_control(made()))
-    assert told["wheel_separation"] == 0.555
-    assert told["wheel_separation_multiplier"] == pytest.approx(1.1 / 0.555, rel=1e-5)
-    assert told["wheel_radius"] == 0.1651
-
-
-def test_commands_turn_the_robot_as_asked() -> None:
-    controller = Controller(parameters(export.ros2_control(made())))
-    for linear, angular in ((0.5, 0.0), (0.0, 1.0), (0.4, -0.7)):
-        rims = np.array(controller.command(linear, angular)) * HUSKY.wheel_radius
-        twist = ICR.twist(*rims)
-        assert twist[2] == pytest.approx(angular, abs=1e-5)
-        assert twist[0] - 0.05 * twist[2] == pytest.approx(linear, abs=1e-5)  # of the point 0.05 m to the left
-
-
-def windows_by_the_controller(text: str, calibration: Calibration, drive: Drive) -> tuple[float, float]:
-    """RMS end errors [m], [deg] of the controller, configured by the text, run anew over each judging window."""
-    told = parameters(text)
-    timing = replace(calibration.timing, time_offset=skidsteer.evaluation.fit_offset(calibration, drive))
-    windows = judging_windows(drive, 2.0)
-    cut = steps(drive.wheels, windows, timing)
-    errors = []
-    for i, measured in enumerate(windows.motion):
-        controller = Controller(told)
-        part = slice(cut.offsets[i], cut.offsets[i + 1])
-        rolled = np.cumsum(cut.distance[part], axis=0)
-        for angle, dt in zip(rolled / drive.vehicle.wheel_radius, cut.duration[part], strict=True):
-            controller.position_feedback(*angle, max(dt, 1e-9))
-        turned = (controller.heading - measured[2] + math.pi) % (2.0 * math.pi) - math.pi
-        errors.append((math.hypot(controller.x - measured[0], controller.y - measured[1]), math.degrees(turned)))
-    return tuple(np.sqrt(np.mean(np.square(errors), axis=0)).tolist())
-
-
-def test_what_is_lost_is_what_the_controller_loses(calibrated: Calibration, drive: Drive) -> None:
-    """The comment's figures for the multipliers, by the controller itself."""
-    text = export.ros2_control(calibrated, forced=export.force(calibrated, [drive]))
-    distance, yaw = windows_by_the_controller(text, calibrated, drive)
-    assert rms_of(text, "these multipliers") == (pytest.approx(distance, abs=6e-4), pytest.approx(yaw, abs=6e-3))
-    assert rms_of(text, "these multipliers")[0] > rms_of(text, "the icr model")[0]
-
-
-def test_what_is_lost_on_a_real_drive(real: skidsteer.Drive) -> None:
-    drive = skidsteer.load_drive(real("warthog-asphalt"))  # type: ignore[operator]
-    calibration = skidsteer.calibrate(drive, model="icr")
-    text = export.ros2_control(calibration, forced=export.force(calibration, [drive]))
-    distance, yaw = windows_by_the_controller(text, calibration, drive)
-    assert rms_of(text, "these multipliers") == (pytest.approx(distance, abs=6e-4), pytest.approx(yaw, abs=6e-3))
-    held_out = export.ros2_control(calibration)
-    nominal, forced, model = (
-        rms_of(held_out, r) for r in ("nominal, no multiplier", "these multipliers", "the icr model")
-    )
-    assert calibration.controller is not None
-    assert calibration.controller.held_out is not None
-    assert forced[0] == pytest.approx(calibration.controller.held_out.translation_m.rms, abs=6e-4)
-    assert nominal[0] > 2.0 * forced[0] > 2.0 * model[0]
-    assert nominal[1] > 5.0 * forced[1]
-
-
-def test_a_frame_at_the_icr_gives_the_lost_velocity_back() -> None:
-    """robot_localization adds r x omega for the place r of the odometry's frame (ros_filter.cpp, prepareTwist)."""
-    text = export.ros2_control(made(), export.Settings(icr_frame="icr_link"))
-    told = parameters(text)
-    assert told["base_frame_id"] == "icr_link"
-    assert told["enable_odom_tf"] is False
-    found = re.search(r"--x (\S+) --y (\S+) --frame-id base_link --child-frame-id icr_link$", text, re.MULTILINE)
-    assert found
-    x, y = float(found[1]), float(found[2])
-    controller = Controller(told)
-    for rims in usual_rims(1.0):
-        controller.velocity_feedback(*(rims / HUSKY.wheel_radius), 0.02)
-        regained = [controller.linear + y * controller.angular, -x * controller.angular, controller.angular]
-        assert_allclose(regained, ICR.twist(*rims), atol=2e-4)
 
 
 # Covariances

@@ -71,6 +71,7 @@ def _origin(calibration: Calibration) -> str:
     return comment(
         f"diff_drive_controller of {calibration.vehicle.name}: the {calibration.model.NAME} model as multipliers.",
         f"Calibrated from {drives} by {made.software}, {made.created}.",
+        *(f"Note: {note}." for note in calibration.warnings),
     )
 
 
@@ -169,7 +170,11 @@ def _share(multipliers: Multipliers) -> float:
 def _noise(calibration: Calibration, found: Projection, settings: Settings) -> str:
     noise = calibration.noise
     known = covariances(calibration, found, settings.rate, settings.icr_frame is not None)
-    lost = f" It holds what is lost at {found.yaw_rate:.2g} rad/s, too." if settings.icr_frame is None else ""
+    of_arm = settings.icr_frame is None and hypot(found.x, found.y) >= LEAST_ARM
+    lost = f" It holds what is lost at {found.yaw_rate:.2g} rad/s, too." if of_arm else ""
+    judged = calibration.held_out.get(calibration.model.NAME)
+    if judged is not None and not isfinite(judged.translation_m.rms):
+        lost += " No reference told positions: that part is an assumption."
     raised = f", raised {known.raised:.2g}-fold to what held-out windows show" if calibration.regions else ""
     return comment(
         f"Covariances: the motion's error grows by {noise.walk:.3g} m and {noise.turn:.3g} rad in a metre rolled, with"
