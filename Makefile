@@ -34,6 +34,11 @@ studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md,
 	$(BIN)/python benchmarks/ground.py
 	$(BIN)/python benchmarks/odometry_study.py
 	$(BIN)/python benchmarks/online_filter.py
+	$(MAKE) reproduction
+
+reproduction: .venv/ready ## calculate the five papers again, writes docs/reproduction.md and its figures
+	$(BIN)/python -m pip install --quiet --editable '.[figures]'
+	$(BIN)/skidsteer reproduce all --out docs
 
 figures: .venv/ready ## draw the README's picture from a real drive
 	$(BIN)/python -m pip install --quiet --editable '.[figures]'
@@ -42,4 +47,4 @@ figures: .venv/ready ## draw the README's picture from a real drive
 clean:           ## remove everything that was made
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-.PHONY: help demo test lint bench studies figures clean
+.PHONY: help demo test lint bench studies reproduction figures clean

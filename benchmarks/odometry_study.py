@@ -24,7 +24,6 @@ from skidsteer.reproduce import thalmann2016
 from skidsteer.reproduce import thalmann_drives as simulated
 from skidsteer.reproduce.figure import Curve, Figure, draw
 from skidsteer.reproduce.repeated_samples import Detection
-from skidsteer.reproduce.rows import Row
 from skidsteer.vehicle import preset
 
 ROOT = Path(__file__).parents[1]
@@ -45,13 +44,10 @@ Written by `make studies` (`benchmarks/odometry_study.py`); nothing here is edit
 
 ## Thalmann 2016 on simulated drives
 
-`skidsteer reproduce thalmann2016` prints the claims of the paper's text beside ours. The robot of the simulation is
+[reproduction.md](reproduction.md) has the claims of the paper's text beside ours. The robot of the simulation is
 assumed, since the paper prints no measures of its own: track width {track} m, slip difference {lab} in the laboratory
 and {roof} on the rooftop, encoders at 10 Hz that count {count} mm, a pose that wanders by {walk} m and {turn} rad per
 square root of a metre, a total station of {sigma} mm at {rate} Hz.
-
-| claim | paper | ours | |
-|---|---|---|---|
 """
 MEDIANS = """
 Largest error while tracking is lost, median of 40 windows [m]:
@@ -182,26 +178,17 @@ def loss_figure(all_studies: Mapping[str, list[LossStudy]]) -> Figure:
 
 def simulated_lines() -> list[str]:
     done = thalmann2016.study()
-    lines = [claim_row(row) for row in thalmann2016.rows(done)]
     names = [f"{p.place.name}: {model}" for p in done.places for model in p.loss.errors]
-    lines += [MEDIANS, f"| lost for [s] | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+    lines = [MEDIANS, f"| lost for [s] | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
     for i, duration in enumerate(done.places[0].loss.durations):
         cells = [f"{p.loss.medians(model)[i]:.3f}" for p in done.places for model in p.loss.errors]
         lines.append(f"| {duration:g} | {' | '.join(cells)} |")
     return [*lines, DETECTION.rstrip("\n"), *(detection_row(d) for d in done.detections)]
 
 
-def claim_row(row: Row) -> str:
-    return f"| {row.what} | {number(row.paper)} | {number(row.ours)} | {row.verdict}: {row.reason} |"
-
-
 def detection_row(d: Detection) -> str:
     rest = "-" if np.isnan(d.speed_excluded) else f"{100 * d.speed_excluded:.1f}"
     return f"| {d.filter} | {d.disturbance:g} | {100 * d.found:.0f} | {100 * d.false:.2f} | {rest} |"
-
-
-def number(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.3g}"
 
 
 def settings() -> dict[str, object]:

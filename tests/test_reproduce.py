@@ -12,11 +12,13 @@ import pytest
 from conftest import Call
 from skidsteer.documents import reproduction_document
 from skidsteer.errors import RequestError
+from skidsteer.io.folder import write_folder
 from skidsteer.reproduce import papers
 from skidsteer.reproduce.figure import Curve, Figure, draw
 from skidsteer.reproduce.markdown import document
 from skidsteer.reproduce.papers import PAPERS, write
 from skidsteer.reproduce.rows import VERDICTS, Place, Reproduction, Row, Table, compared, places_named, stands_in, tally
+from skidsteer.samples import sample
 
 NAN = float("nan")
 
@@ -135,6 +137,39 @@ def test_the_command_prints_and_writes(call: Call, tmp_path: Path) -> None:
     assert code == 0
     assert "corrected" in out
     assert re.search(r"\d+ reproduced; \d+ corrected; \d+ cannot be reproduced", out)
+
+
+def test_all_papers_at_once(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {name: PAPERS[name] for name in ("mandow2007", "huskic2017")}
+    asked = []
+    monkeypatch.setattr(papers, "PAPERS", few)
+    monkeypatch.setattr(papers, "real_drive", lambda: None)
+    monkeypatch.setattr(papers, "reproduce", lambda name, drive: asked.append((name, drive)) or done())
+    code, out, err = call("reproduce", "all", "--json")
+    assert code == 0, err
+    assert list(json.loads(out)["papers"]) == list(few)
+    code, out, _ = call("reproduce", "all", "--drive", "sample:p3at-lab")
+    assert out.count("1 reproduced; 1 cannot be reproduced; 1 not possible without the original data") == 2
+    assert [(name, drive and drive.name) for name, drive in asked] == [
+        ("mandow2007", None),
+        ("huskic2017", None),
+        ("mandow2007", "p3at-lab"),
+        ("huskic2017", "p3at-lab"),
+    ]
+
+
+def test_the_real_drive_is_found_where_the_variable_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv(papers.DATA, str(tmp_path))
+    assert papers.real_drive() is None
+    write_folder(sample("p3at-lab").between(0.0, 5.0), tmp_path / papers.REAL)
+    found = papers.real_drive()
+    assert found is not None
+    assert found.name == papers.REAL
+
+
+def test_differences_in_the_last_bits_are_none() -> None:
+    assert Row("x", 547.0, 546.9999999999999, "reproduced").difference == 0.0
+    assert Row("x", 1.0, 1.0 + 1e-9, "reproduced").difference == pytest.approx(1e-9)
 
 
 def test_an_unknown_paper_is_told_with_those_there_are(call: Call) -> None:

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skidsteer.reproduce import giannoccaro2015_claims, mandow2007_printed, thalmann_example, wang2015, wang_simulated
+from skidsteer.reproduce import (
+    giannoccaro2015,
+    giannoccaro2015_claims,
+    huskic2017,
+    mandow2007_printed,
+    thalmann_example,
+    wang2015,
+    wang_simulated,
+)
 from skidsteer.reproduce.rows import Row
 
+DOCUMENT = Path(__file__).parents[1] / "docs" / "reproduction.md"
 PRINTED = {
     "mandow2007": (mandow2007_printed.PLACES, ("I", "II", "III"), 6),
     "wang2015": (wang2015.PLACES, "1234", 16),
     "giannoccaro2015": (giannoccaro2015_claims.PLACES, "12345", 11),
     "thalmann2016": (thalmann_example.PLACES, "1", 13),
+    "huskic2017": (huskic2017.PLACES, "", 7),
 }
 
 
@@ -91,3 +104,35 @@ def test_thalmanns_example_shows_what_the_text_says() -> None:
     assert np.abs(figures["figure-9"].curves[1].y).max() < np.abs(figures["figure-9"].curves[0].y).max()
     wheels = thalmann_example.straight_run()
     assert (np.diff(wheels.values[20:30], axis=0) == 0.0).sum() == 1
+
+
+def committed(paper: str) -> dict[str, tuple[list[float], str]]:
+    """Rows of a chapter of the document: what it is about, the numbers, the verdict."""
+    if not DOCUMENT.is_file():
+        pytest.skip("no documentation beside an installed package")
+    (chapter,) = re.findall(
+        rf"^## {paper}$(.*?)(?=^## |\Z)", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    cells = [re.split(r"(?<!\\) \| ", line[2:]) for line in chapter.splitlines() if line.startswith("| ")]
+    return {
+        row[0].replace("\\|", "|"): ([float(c) if c != "-" else np.nan for c in row[1:4]], row[4])
+        for row in cells
+        if len(row) == 6 and row[1] != "paper"
+    }
+
+
+@pytest.mark.parametrize(
+    ("paper", "rows"),
+    [
+        ("mandow2007", mandow2007_printed.rows()),
+        ("giannoccaro2015", (*giannoccaro2015.rows(), *giannoccaro2015_claims.rows())),
+        ("wang2015", wang2015.rows()),
+    ],
+)
+def test_the_committed_document_is_that_of_a_fresh_run(paper: str, rows: tuple[Row, ...]) -> None:
+    there = committed(paper)
+    assert len(rows) > 20
+    for row in rows:
+        numbers, verdict = there[row.what]
+        assert verdict == row.verdict, row.what
+        assert_allclose(numbers, [row.paper, row.ours, row.difference], rtol=6e-4, atol=1e-12, err_msg=row.what)

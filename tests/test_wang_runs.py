@@ -103,6 +103,8 @@ def test_rows_stand_beside_what_was_measured(found: Runs, path: Reckonings) -> N
     assert a.reason.startswith("0.468 from Table 3")
     spot, rest = (rows[f"fall of chi from lambda {x}, Fig. 5"] for x in ("0 to 1", "1 to 7"))
     assert spot.ours > 0.09
+    falls = rows["steps of lambda from 0 to 7 in which chi falls, Fig. 5"]
+    assert (falls.ours, falls.verdict) == (1.0, "cannot be reproduced")
     assert rest.ours < 0.0 < rest.paper
     far = rows["largest position error of the proposed model [m], section 3.5, in the runs"]
     assert far.ours == pytest.approx(np.hypot(*path.off("proposed")[:, :2].T).max())

@@ -261,7 +261,7 @@ def show_reproduction(name: str, done: Reproduction) -> None:
     OUT.print(f"[bold]{name}[/bold]")
     table = Table("", "paper", "ours", "difference", "verdict", box=None, pad_edge=False)
     for row in done.rows:
-        numbers = ("-" if np.isnan(v) else f"{v:.4g}" for v in (row.paper, row.ours, row.ours - row.paper))
+        numbers = ("-" if np.isnan(v) else f"{v:.4g}" for v in (row.paper, row.ours, row.difference))
         colour = "green" if row.verdict == "reproduced" else "yellow"
         table.add_row(escape(row.what), *numbers, f"[{colour}]{row.verdict}[/]")
     for column in table.columns[1:4]:
@@ -273,7 +273,7 @@ def show_reproduction(name: str, done: Reproduction) -> None:
     for side in done.tables:
         _show_side_by_side(side)
     for note in done.notes:
-        OUT.print(f"Found on the way: {escape(note)}.")
+        OUT.print(f"Found on the way: {escape(note.rstrip('.'))}.")
     for place in done.places:
         if place.not_computed:
             OUT.print(f"{place.name}, {escape(place.shows)}: {escape(place.not_computed)}.")

@@ -262,7 +262,7 @@ def reproduction_document(paper: str, done: Reproduction) -> Document:
     """What ``reproduce --json`` prints."""
     return {
         "paper": paper,
-        "rows": [{**asdict(row), "difference": row.ours - row.paper} for row in done.rows],
+        "rows": [{**asdict(row), "difference": row.difference} for row in done.rows],
         "verdicts": tally(done.rows),
         "places": [
             {

@@ -43,7 +43,7 @@ def chapter(name: str, title: str, done: Reproduction) -> list[str]:
     for table in done.tables:
         lines += ["", f"### {table.title}", "", *_side_by_side(table)]
     if done.notes:
-        lines += ["", "### Found on the way", "", *(f"- {note}" for note in done.notes)]
+        lines += ["", "### Found on the way", "", *(f"- {note.rstrip('.')}." for note in done.notes)]
     for figure in done.figures:
         lines += ["", f"![{figure.title}](figures/{name}-{figure.name}.svg)", "", f"`{figure.name}`: {figure.title}."]
     return lines
@@ -59,7 +59,7 @@ def _rows(rows: Sequence[Row]) -> list[str]:
     reasons = [row.reason for row in rows]
     said = ["as above" if a and a == b else b for a, b in itertools.pairwise(["", *reasons])]
     cells = [
-        [row.what, number(row.paper), number(row.ours), number(row.ours - row.paper), row.verdict, reason]
+        [row.what, *map(number, (row.paper, row.ours, row.difference)), row.verdict, reason]
         for row, reason in zip(rows, said, strict=True)
     ]
     return _table(("", "paper", "ours", "difference", "verdict", "why"), cells, numbers=3)

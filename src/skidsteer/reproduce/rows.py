@@ -29,6 +29,12 @@ class Row:
     verdict: Verdict
     reason: str = ""
 
+    @property
+    def difference(self) -> float:
+        """Ours less the paper's; 0 where only the last bits differ."""
+        apart = self.ours - self.paper
+        return 0.0 if abs(apart) < 1e-12 * (1.0 + abs(self.paper)) else apart
+
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ValueError(f"verdict must be one of {', '.join(VERDICTS)}, got {self.verdict!r}")

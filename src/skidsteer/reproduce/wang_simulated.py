@@ -46,11 +46,16 @@ def curve(terrain: Terrain) -> FloatArray:
 
 def _fall_rows() -> tuple[Row, ...]:
     chi = curve(TERRAINS["lab"])
-    first = "beside Table 3; Eqs. (16)-(22) with Table 1 give it by rolling resistance, without which there is none"
-    rest = "beside Table 3; as printed the equations give none: the centrifugal force makes chi rise with lambda"
+    falls = float((np.diff(chi) < 0.0).sum())
+    none = (
+        "'chi decreases as lambda increases': Eqs. (16)-(22) with Table 1 give a fall from the spot to a circle, by"
+        " rolling resistance, without which there is none; after it the centrifugal force makes chi rise"
+    )
+    beside = "beside Table 3, since Fig. 5 has no numbers"
     return (
-        stands_in("fall of chi from lambda 0 to 1, Fig. 5", TABLE_3[0] - TABLE_3[1], float(chi[0] - chi[1]), first),
-        stands_in("fall of chi from lambda 1 to 7, Fig. 5", TABLE_3[1] - TABLE_3[7], float(chi[1] - chi[7]), rest),
+        Row("steps of lambda from 0 to 7 in which chi falls, Fig. 5", 7.0, falls, "cannot be reproduced", none),
+        stands_in("fall of chi from lambda 0 to 1, Fig. 5", TABLE_3[0] - TABLE_3[1], float(chi[0] - chi[1]), beside),
+        stands_in("fall of chi from lambda 1 to 7, Fig. 5", TABLE_3[1] - TABLE_3[7], float(chi[1] - chi[7]), beside),
     )
 
 
