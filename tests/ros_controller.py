@@ -1,7 +1,8 @@
 """The odometry and the commands of ROS 2's diff_drive_controller in our own words, from its published sources.
 
 ros-controls/ros2_controllers, diff_drive_controller/src/odometry.cpp and diff_drive_controller.cpp, from version 2.15
-(Humble) to 4.18 (Jazzy): they differ in none of this. Parameters are read once, when the controller is configured.
+(Humble) to 4.18 (Jazzy), and the later updateFromPosition: they differ in none of this. Parameters are read once, when
+the controller is configured.
 """
 
 from __future__ import annotations
