@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 import speed
 from skidsteer.control import Controller, Wheels
 from skidsteer.follow import Run, Sensing, follow
@@ -33,6 +35,7 @@ class FollowTimes:
     steps: dict[str, float]  # by law: advance, command, rim speeds
     loops: dict[str, float]  # by law, on the kinematic plant
     plants: dict[str, float]  # by plant, with the first law
+    plan: tuple[float, float]  # mean and 99th percentile of a step of the predictive law on its way
 
 
 def measure(repeats: int) -> FollowTimes:
@@ -41,7 +44,8 @@ def measure(repeats: int) -> FollowTimes:
     steps = {name: speed.timed(_step(law), repeats) / STEPS for name, law in laws.items()}
     loops = {name: _ratio(partial(_drive, "kinematic", law), repeats) for name, law in laws.items()}
     first = next(iter(laws.values()))
-    return FollowTimes(steps, loops, {name: _ratio(partial(_drive, name, first), 3) for name in PLANTS})
+    plants = {name: _ratio(partial(_drive, name, first), 3) for name in PLANTS}
+    return FollowTimes(steps, loops, plants, _plan())
 
 
 def _step(law: Controller[Any]) -> Callable[[], None]:
@@ -53,6 +57,22 @@ def _step(law: Controller[Any]) -> Callable[[], None]:
             WHEELS.speeds(*law.command(pose, twist, law.advance(state, pose, twist, 0.02, sent)))
 
     return steps
+
+
+def _plan() -> tuple[float, float]:
+    """Seconds of advance and command, on the poses and twists of a lap on grass; the first second compiles."""
+    law = controller("predictive", None, SPEED, Known(WHEELS, LAG, SENSING.delay))
+    run = _drive("terramechanic", law)
+    state, took = law.begin(PATH, run.seen[0]), []
+    for before, after in zip(range(len(run.t) - 1), range(1, len(run.t)), strict=True):
+        v, _, omega = WHEELS.model.twist(*run.sent[before]).tolist()
+        v_x, v_y, _ = WHEELS.model.twist(*run.states[after, 6:]).tolist()
+        told = (v_x, v_y, float(run.states[after, 5]))
+        start = time.process_time()
+        state = law.advance(state, run.seen[after], told, 0.02, (v, omega))
+        law.command(run.seen[after], told, state)
+        took.append(time.process_time() - start)
+    return float(np.mean(took[50:])), float(np.percentile(took[50:], 99.0))
 
 
 def _drive(plant: str, law: Controller[Any]) -> Run:
