@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,12 @@ from control_loop import PLANT
 from skidsteer.control import (
     Controller,
     Huskic,
+    Limits,
+    Observer,
     PathState,
     Pentzer,
+    Predictive,
+    PredictiveGains,
     PurePursuit,
     SaturationSpeed,
     Soetanto,
@@ -44,12 +49,13 @@ WHEELS = Wheels(PLANT, 1.2)
 EIGHT = lemniscate(5.0)
 
 
-def controllers(wheels: Wheels, speed: float = 1.0) -> dict[str, Controller[PathState]]:
+def controllers(wheels: Wheels, speed: float = 1.0) -> dict[str, Controller[Any]]:
     return {
         "huskic": Huskic(huskic.GAINS["launch"], SaturationSpeed(wheels, speed)),
         "soetanto": Soetanto(soetanto.GAINS["launch"], speed),
         "pentzer": Pentzer(pentzer.GAINS["published"], speed, feed_forward=True),
         "pure_pursuit": PurePursuit(desired_linear_vel=speed),
+        "predictive": Predictive(PredictiveGains(), wheels, Limits(speed), Observer(0.1, 0.05)),
     }
 
 

@@ -141,7 +141,10 @@ def test_the_same_seed_drives_the_same_way(call: Call, tmp_path: Path) -> None:
         ),
         ("--path none.csv", "none.csv"),
         ("--path line --size -2", "the length of a path must be a positive number of metres, got -2.0"),
-        ("--path line --controller lqr", "no controller 'lqr'; there are: huskic, soetanto, pentzer, pure_pursuit"),
+        (
+            "--path line --controller lqr",
+            "no controller 'lqr'; there are: huskic, soetanto, pentzer, pure_pursuit, predictive",
+        ),
         ("--path line --gains best", "no gains 'best' of huskic; there are: launch, header, feed-forward"),
         ("--path line --plant gazebo", "no plant 'gazebo'; there are: kinematic, terramechanic, mujoco"),
         ("--path line --terrain mud", "no terrain 'mud'"),

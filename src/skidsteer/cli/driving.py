@@ -21,9 +21,11 @@ def follow(
     ],
     speed: Annotated[float, typer.Option(metavar="M/S", help="asked for")] = 1.0,
     controller: Annotated[
-        str, typer.Option(metavar="NAME", help="huskic, soetanto, pentzer or pure_pursuit")
+        str, typer.Option(metavar="NAME", help="huskic, soetanto, pentzer, pure_pursuit or predictive")
     ] = "huskic",
-    gains: Annotated[str | None, typer.Option(metavar="NAME", help="such as launch or header; none: launch")] = None,
+    gains: Annotated[
+        str | None, typer.Option(metavar="NAME", help="of the controller, such as header; none: its usual ones")
+    ] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "kinematic",
     terrain: Annotated[
         str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")

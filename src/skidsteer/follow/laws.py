@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from skidsteer.control import Controller, Huskic, Pentzer, SaturationSpeed, Soetanto, Wheels, icr_x_at
+from skidsteer.control import (
+    Controller,
+    Huskic,
+    Limits,
+    Observer,
+    Pentzer,
+    Predictive,
+    PredictiveGains,
+    SaturationSpeed,
+    Soetanto,
+    Wheels,
+    icr_x_at,
+)
 from skidsteer.control import huskic as huskic_law
 from skidsteer.control import pentzer as pentzer_law
 from skidsteer.control import pure_pursuit as pursuit
@@ -24,6 +37,7 @@ class Known:
     lag: float = 0.0  # [s] of the wheels
     delay: float = 0.0  # [s] of the poses
     period: float = 0.02  # [s] from command to command
+    acceleration: float = math.inf  # [m/s^2] of the rims
 
     def icr_x(self, speed: float) -> float:
         """[m] ahead of the origin at a speed [m/s]."""
@@ -50,6 +64,12 @@ def _pure_pursuit(preset: pursuit.PurePursuit) -> Law:
     return lambda speed, known: replace(preset, desired_linear_vel=speed, controller_frequency=1.0 / known.period)
 
 
+def _predictive(speed: float, known: Known) -> Predictive:
+    usual = Limits(speed)
+    limits = replace(usual, rim_acceleration=min(usual.rim_acceleration, known.acceleration))
+    return Predictive(PredictiveGains(), known.wheels, limits, Observer(known.lag, known.delay), known.period)
+
+
 LAWS: Mapping[str, Mapping[str, Law]] = {  # by name and gains; the first gains are those it is launched with
     "huskic": {
         "launch": _huskic(huskic_law.GAINS["launch"]),
@@ -59,6 +79,7 @@ LAWS: Mapping[str, Mapping[str, Law]] = {  # by name and gains; the first gains 
     "soetanto": {name: _soetanto(soetanto_law.GAINS[name]) for name in ("launch", "header")},
     "pentzer": {"published": _pentzer(feed_forward=False), "feed-forward": _pentzer(feed_forward=True)},
     "pure_pursuit": {name: _pure_pursuit(pursuit.PRESETS[name]) for name in ("adaptive", "nav2", "plain")},
+    "predictive": {"usual": _predictive},
 }
 
 

@@ -81,7 +81,7 @@ def run_task(task: Task) -> Run:
     Raises:
         RequestError: as ``follow`` does, or no such plant, law or gains.
     """
-    known = Known(task.wheels, task.lag, task.sensing.delay, 1.0 / task.sensing.rate)
+    known = Known(task.wheels, task.lag, task.sensing.delay, 1.0 / task.sensing.rate, task.acceleration)
     law = controller(task.law, task.gains, task.speed, known)
     start = task.path.robot(0.0) if task.start is None else np.array(task.start)
     rolling = begin(task.plant, task.vehicle, task.ground, start, task.lag)
