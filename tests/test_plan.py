@@ -201,6 +201,8 @@ def test_bad_requests() -> None:
     refused("--radius must be above 0", radius=-1.0)
     refused("left or right", side="up")
     refused("--laps must be from 1 to 100", laps=0)
+    refused(r"the course would take \d\.\d+e\+06 s; drive faster", speed=1e-6)
+    refused("the course would take", Request(Rectangle(1e5, 1.0, "obstacle"), 0.4, 0.5))
     refused(r"reaches 2 m/s; give a lower --speed$", speed=2.5)
     refused(r"reaches 2 m/s; give a lower --speed or --curve-speed", speed=1.5, curve_speed=1.9)
 

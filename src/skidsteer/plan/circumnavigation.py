@@ -29,6 +29,7 @@ SPACING = 0.1  # [s] between the poses looked at, at most
 TRIES = 20  # of radii
 CLOSE = 1e-4  # [m] by which the clearance may be missed
 MOST_LAPS = 100
+LONGEST = 3600.0  # [s] of a plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +223,10 @@ def _plan(driver: Driver, request: Request, robot: Rectangle, radius: float) -> 
     arc = make("arc", v=v, omega=turn * v / radius, amount=np.pi)
     lap = [replace(s, name=n) for s, n in zip((straight, arc, straight, arc), ("AB", "BC", "CD", "DA"), strict=True)]
     stretches = tuple(lap) * request.laps
+    if (lasts := sum(s.duration for s in stretches)) > LONGEST:
+        raise RequestError(
+            f"the course would take {lasts:.3g} s; drive faster, or fewer --laps (at most {LONGEST:g} s)"
+        )
     rims = commands(stretches)
     t = np.linspace(0.0, rims.t[-1], math.ceil(rims.t[-1] / SPACING) + 1)
     expected = forecast(driver.model, rims, t, driver.lag, driver.uncertainty)
