@@ -198,6 +198,16 @@ def test_a_lost_pose_slows_the_robot_stops_it_and_lets_it_go_on() -> None:
     assert np.abs(run.cross_track).max() < 0.01  # reckoned for half a second, it stays on the line
 
 
+@LAWS
+def test_a_pose_lost_for_a_second_on_a_curve(law: str) -> None:
+    """Every law stops for it, and is back on the path afterwards."""
+    run = driven(law, EIGHT, lag=0.1, sensing=Sensing(delay=0.05, lost=((3.0, 4.0),)))
+    assert run.outcome == "laps done"
+    assert_array_equal(run.sent[(run.t > 3.0 + STAND + 0.01) & (run.t < 4.0)], 0.0)
+    assert np.abs(run.cross_track).max() < 0.35
+    assert np.abs(run.cross_track[-50:]).max() < 0.25
+
+
 def test_short_gaps_are_reckoned_over() -> None:
     """A pose every 0.1 s only, and on a curve."""
     path = arc(2.0, 5.0)
