@@ -25,6 +25,7 @@ from skidsteer.control import (
     Soetanto,
     Wheels,
     huskic,
+    icr_x_at,
     pentzer,
     soetanto,
 )
@@ -50,10 +51,11 @@ EIGHT = lemniscate(5.0)
 
 
 def controllers(wheels: Wheels, speed: float = 1.0) -> dict[str, Controller[Any]]:
+    icr_x = icr_x_at(wheels.model, 0.5, 0.5)
     return {
-        "huskic": Huskic(huskic.GAINS["launch"], SaturationSpeed(wheels, speed)),
+        "huskic": Huskic(huskic.GAINS["launch"], SaturationSpeed(wheels, speed), icr_x, feed_forward=True),
         "soetanto": Soetanto(soetanto.GAINS["launch"], speed),
-        "pentzer": Pentzer(pentzer.GAINS["published"], speed, feed_forward=True),
+        "pentzer": Pentzer(pentzer.GAINS["published"], speed, icr_x, feed_forward=True),
         "pure_pursuit": PurePursuit(desired_linear_vel=speed),
         "predictive": Predictive(PredictiveGains(), wheels, Limits(speed), Observer(0.1, 0.05)),
     }
