@@ -24,7 +24,7 @@ from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.export.covariances import UNMEASURED, covariances
 from skidsteer.io.calibration_file import load_calibration, save_calibration
-from skidsteer.models import MODELS, Icr, Linear, ScheduledIcr
+from skidsteer.models import MODELS, Icr, Linear, ScheduledIcr, SymmetricIcr
 from skidsteer.prediction import Regions
 from skidsteer.samples import sample
 from skidsteer.vehicle import preset
@@ -158,6 +158,16 @@ def test_a_name_that_no_node_can_have_is_pointed_out() -> None:
 
 
 # The Pioneer, JSON, files
+
+
+def test_a_circle_test_is_told_with_its_assumptions() -> None:
+    """It holds no errors to show, and its noise is assumed."""
+    text = export.ros2_control(replace(made(SymmetricIcr(0.5, 1.0)), warnings=("circle runs tell no noise",)))
+    assert "# Note: circle runs tell no noise.\n" in text
+    assert "The errors that are left were not measured" in text
+    assert "--child-frame-id icr_link" in export.ros2_control(
+        made(SymmetricIcr(0.5, 1.0)), export.Settings(icr_frame="icr_link")
+    )
 
 
 def test_integers_of_a_p3at() -> None:

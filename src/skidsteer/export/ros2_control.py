@@ -93,7 +93,8 @@ def _loss(calibration: Calibration, forced: Forced, settings: Settings) -> str:
     found = forced.projection
     is_linear, arm = isinstance(calibration.model, MatrixModel), hypot(found.x, found.y)
     if arm < LEAST_ARM and is_linear:
-        return comment("Nothing of the model is lost in them.", *_figures(calibration, forced.measured))
+        frame = () if settings.icr_frame is None else _frame(found, settings)
+        return comment("Nothing of the model is lost in them.", *_figures(calibration, forced.measured), *frame)
     ahead, sideways = (abs(lever * found.yaw_rate) for lever in (found.y, found.x))
     lost = (
         "What is lost: the controller knows no sideways velocity, no asymmetry, no change with speed. Its odometry is"
@@ -113,8 +114,8 @@ def _mm(length: float) -> str:
 def _figures(calibration: Calibration, measured: Measured | None) -> tuple[str, ...]:
     if measured is None:
         return (
-            "How much that is was not measured: the calibration does not hold it."
-            " `skidsteer export CALIBRATION DRIVE... --to ros2-control` measures it on drives.",
+            "The errors that are left were not measured: the calibration does not hold them."
+            " `skidsteer export CALIBRATION DRIVE... --to ros2-control` measures them on drives.",
         )
     rows = {
         "nominal, no multiplier": measured.nominal,
