@@ -18,7 +18,7 @@ from exports import HUSKY, ICR, made, parameters, rms_of
 from ros_controller import Controller
 from skidsteer import export
 from skidsteer.calibration import Calibration, HeldOut
-from skidsteer.drive import Drive
+from skidsteer.drive import Drive, Series
 from skidsteer.evaluation import fit_offset
 from skidsteer.identify.as_controller import as_controller
 from skidsteer.identify.holdout import held_out
@@ -204,3 +204,13 @@ def test_a_frame_at_the_icr_gives_the_lost_velocity_back() -> None:
         controller.velocity_feedback(*(rims / HUSKY.wheel_radius), 0.02)
         regained = [controller.linear + y * controller.angular, -x * controller.angular, controller.angular]
         assert_allclose(regained, ICR.twist(*rims), atol=2e-4)
+
+
+def test_another_recording_s_delay_is_no_error_of_the_robot(calibrated: Calibration, drive: Drive) -> None:
+    """Its reference is stamped 0.4 s later: the figures stay, but for windows at the ends."""
+    assert drive.pose is not None
+    late = replace(drive, pose=Series(drive.pose.t + 0.4, drive.pose.values, "pose"))
+    measured = [export.force(calibrated, [d]).measured for d in (drive, late)]
+    now, then = (m.forced for m in measured if m is not None)
+    assert then.translation_m.rms == pytest.approx(now.translation_m.rms, rel=0.1)
+    assert then.yaw_deg.rms == pytest.approx(now.yaw_deg.rms, rel=0.1)
