@@ -206,6 +206,8 @@ def test_a_pose_lost_for_a_second_on_a_curve(law: str) -> None:
     run = driven(law, EIGHT, lag=0.1, sensing=Sensing(delay=0.05, lost=((3.0, 4.0),)))
     assert run.outcome == "laps done"
     assert_array_equal(run.sent[(run.t > 3.0 + STAND + 0.01) & (run.t < 4.0)], 0.0)
+    slowing = np.abs(run.sent[(run.t > 3.0) & (run.t < 3.0 + STAND)]).max(axis=1)
+    assert np.abs(np.diff(slowing)).max() < 1.3 * 0.02 * slowing[0] / (STAND - GRACE)  # evenly, whatever the law asks
     assert np.abs(run.cross_track).max() < 0.35
     assert np.abs(run.cross_track[-50:]).max() < 0.25
 

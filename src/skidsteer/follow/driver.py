@@ -29,6 +29,7 @@ class Memory(Generic[State]):
     asked: Command = STANDING  # v [m/s], omega [rad/s] by the controller
     sent: Command = STANDING  # [m/s] rim speeds
     realised: Command = STANDING  # v, omega that they are believed to give
+    pace: float = 0.0  # [m/s] of the faster rim when a pose came last
 
 
 class Driver(Generic[State]):
@@ -69,16 +70,26 @@ class Driver(Generic[State]):
             state = self._controller.begin(self._path, known.pose)
         else:
             state = self._controller.advance(before.state, known.pose, twist, dt, before.realised)
-        v, omega = self._controller.command(known.pose, twist, state)
-        return self._sent(before, known, state, (known.caution * v, known.caution * omega), dt)
+        return self._sent(before, known, state, self._controller.command(known.pose, twist, state), dt)
 
     def _sent(
         self, before: Memory[State], known: KnownPose | None, state: State | None, asked: Command, dt: float
     ) -> Memory[State]:
         left, right = self._wheels.speeds(*asked).tolist()
+        caution = known.caution if known is not None else 0.0
+        if caution < 1.0:
+            left, right = _slowed((left, right), caution * before.pace)
         sent = _within((left, right), before.sent, self._acceleration * dt)
         v, _, omega = self._twist(*sent)
-        return Memory(known, state, asked, sent, (v, omega))
+        pace = max(abs(sent[0]), abs(sent[1])) if caution == 1.0 else before.pace
+        return Memory(known, state, asked, sent, (v, omega), pace)
+
+
+def _slowed(asked: Command, fastest: float) -> Command:
+    """Rim speeds in the same proportion, none of them beyond that [m/s]."""
+    most = max(abs(asked[0]), abs(asked[1]))
+    share = min(1.0, fastest / most) if most else 1.0
+    return share * asked[0], share * asked[1]
 
 
 def _within(asked: Command, before: Command, change: float) -> Command:

@@ -25,7 +25,7 @@ class KnownPose:
 
     @property
     def caution(self) -> float:
-        """Share of the speed to drive with: 1 while poses come, 0 from ``STAND`` on."""
+        """Share of the pace that it had when a pose came last: 1 while poses come, 0 from ``STAND`` on."""
         return min(max((STAND - self.age) / (STAND - GRACE), 0.0), 1.0)
 
     def after(self, dt: float, twist: Triple, seen: Triple | None) -> KnownPose:
