@@ -468,6 +468,17 @@ def test_every_section_is_there() -> None:
         assert spread(estimate.value, estimate.sigma)[0] in words
 
 
+def test_what_to_change_is_what_is_to_be_pasted() -> None:
+    """A robot known by its name, with a track width of its own."""
+    calibration, _, _ = lab()
+    husky = Vehicle("clearpath-husky-a200", track_width=0.55, wheel_radius=0.165)
+    words = shown(page(gather(replace(calibration, vehicle=husky))))
+    told = {name: float(value) for name, value in re.findall(r"(wheel_separation\w*): ([0-9.]+)", words)}
+    assert told["wheel_separation"] == 0.55
+    assert f"{1.875 * 0.555 / 0.55:.4g} → to {told['wheel_separation_multiplier']:.3f}" in words
+    assert f"1.875 → {told['wheel_separation_multiplier'] * 0.55 / 0.555:.3f}" in words
+
+
 def test_what_has_no_reference_is_left_out_and_says_so() -> None:
     calibration, drive, _ = lab()
     words = shown(page(gather(calibration, [replace(drive, pose=None)])))

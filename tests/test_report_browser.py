@@ -185,6 +185,20 @@ def test_light_and_dark_follow_the_system_and_the_button(
     assert page.evaluate(line) != drawn
 
 
+def test_paper_is_white_and_narrower(report: Callable[[str], Path], visit: Callable[..., Page]) -> None:
+    page = visit(report("sample:p3at-lab"), theme="dark").page
+    widths = "Math.max(...[...document.querySelectorAll('svg.main-svg')].map(s => s.getBoundingClientRect().width))"
+    screen = page.evaluate(widths)
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    page.emulate_media(media="print")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert page.evaluate(widths) <= 670 < screen
+    page.emulate_media(media="screen")
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
+    sync_api.expect(page.locator("#theme")).to_have_text("Light")
+
+
 @pytest.mark.parametrize("name", ["sample:p3at-lab", "warthog-sand-windows"])
 def test_a_phone_needs_no_scrolling_sideways(
     name: str, report: Callable[[str], Path], visit: Callable[..., Page]

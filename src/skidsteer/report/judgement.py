@@ -51,7 +51,7 @@ def _foreign(evidence: Evidence) -> Html | str:
         for j in evidence.judged
     ]
     head = ("on these drives", "windows", "nominal [m]", "calibrated [m]", "nominal [°]", "calibrated [°]")
-    return table(head, rows, range(1, 6), label="median errors on these drives") if rows else ""
+    return table("median errors on these drives", head, rows, range(1, 6)) if rows else ""
 
 
 def _median(errors: np.ndarray, factor: float) -> str:
@@ -83,7 +83,7 @@ def _errors(calibration: Calibration) -> Html:
                 ]
             )
         rows.append(row)
-    return table(head, rows, range(1, len(head)), label="held-out errors of all models")
+    return table("held-out errors of all models", head, rows, range(1, len(head)))
 
 
 def _with_interval(median: float, interval: tuple[float, float] | None) -> Content:
@@ -105,9 +105,9 @@ def residuals(evidence: Evidence) -> Section:
         else f" Of {count} windows {error_charts.MOST_WINDOWS} are shown, the {error_charts.WORST} worst among them."
     )
     caption = (
-        f"Each point is a window of up to {evidence.window:g} s at its mean speed and yaw rate; the larger and darker,"
-        f" the larger the error of the {evidence.calibration.model.NAME} model. Point at one for its time in the"
-        f" log.{shown}"
+        f"Each point is a window of up to {evidence.window:g} s at its mean speed and yaw rate; the larger it is and"
+        f" the stronger its colour, the larger the error of the {evidence.calibration.model.NAME} model. Point at one"
+        f" for its time in the log.{shown}"
     )
     return section(
         name, title, _worst(evidence), side_by_side(found), tag("p", caption, class_="caption"), charts=found

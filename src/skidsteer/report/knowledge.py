@@ -26,7 +26,7 @@ def parameters(evidence: Evidence) -> Section:
             (tag("code", name), *spread(e.value, e.sigma), e.unit, nominal_value, (meaning.get(name, ""), " ", state))
         )
     head = ("parameter", "value", "± sigma", "unit", "nominal", "")
-    parts: list[Content] = [table(head, rows, (1, 2, 4), label="parameters")]
+    parts: list[Content] = [table("parameters", head, rows, (1, 2, 4), (5,))]
     if calibration.profiles:
         parts += [tag("h3", "Profiles"), _profiles(calibration)]
     if chart is not None:
@@ -40,7 +40,7 @@ def _profiles(calibration: Calibration) -> Html:
         for ground, profile in {"all together": calibration, **calibration.profiles}.items()
     ]
     head = ("ground", *calibration.parameters)
-    return table(head, rows, range(1, len(head)), label="profiles")
+    return table("profiles", head, rows, range(1, len(head)))
 
 
 def observability(evidence: Evidence) -> Section:
@@ -59,7 +59,7 @@ def observability(evidence: Evidence) -> Section:
         )
     rows = [(m.motion, m.rounded, f"{m.tolerance:.3g} {m.unit}", _bar(m)) for m in verdict.motions]
     parts.append(
-        table(("motion", "known to (1 σ)", "tolerance", "share of the tolerance"), rows, (1, 2), label="known motions")
+        table("known motions", ("motion", "known to (1 σ)", "tolerance", "share of the tolerance"), rows, (1, 2), (0,))
     )
     parts.append(
         tag(

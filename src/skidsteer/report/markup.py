@@ -44,19 +44,25 @@ def markup(content: Content) -> Html:
 
 
 def table(
-    head: Sequence[Content], rows: Iterable[Sequence[Content]], numeric: Sequence[int] = (), **words: str
+    label: str,
+    head: Sequence[Content],
+    rows: Iterable[Sequence[Content]],
+    numeric: Sequence[int] = (),
+    wide: Sequence[int] = (),
 ) -> Html:
-    """A table that scrolls sideways where it is wider than the page; ``numeric`` columns are set to the right."""
+    """A table that scrolls sideways where it is wider than the page.
+
+    ``numeric`` columns are set to the right, ``wide`` ones keep room for a sentence.
+    """
 
     def cell(name: str, i: int, content: Content) -> Html:
-        kind = "number" if i in numeric else None
+        kind = "number" if i in numeric else "wide" if i in wide else None
         if name == "td" and i == 0:
             return tag("th", content, scope="row", class_=kind)
         return tag(name, content, class_=kind, scope="col" if name == "th" else None)
 
     body = [tag("tr", *(cell("td", i, c) for i, c in enumerate(row))) for row in rows]
     heading = tag("thead", tag("tr", *(cell("th", i, c) for i, c in enumerate(head))))
-    label = words.get("label", "table")
     return tag(
         "div", tag("table", heading, tag("tbody", body)), class_="scroll", tabindex="0", role="region", aria_label=label
     )

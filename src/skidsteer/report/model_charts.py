@@ -64,7 +64,7 @@ def chi_chart(evidence: Evidence) -> Chart | None:
     found = None if turns is None else wang_fit(turns)
     if found is not None:
         limit = ", at a limit" if found.at_bound else ""
-        fitted = f"Eq. (44) of Wang 2015 through them: a = {found.a:.2f}, b = {found.b:.2f}{limit}"
+        fitted = f"Wang 2015, Eq. (44): a = {found.a:.2f}, b = {found.b:.2f}{limit}"
         data.append(curve(x, icr_coefficient(x, found.a, found.b), fitted, "$muted", "longdash", 1.6))
     curves = [trace["y"] for trace in data if trace["mode"] == "lines"]
     high = max(float(np.max(curve)) for curve in curves)

@@ -9,7 +9,7 @@
 
   // Theme
 
-  const isDark = () => !printing && (root.dataset.theme ? root.dataset.theme === "dark" : dark.matches);
+  const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : dark.matches);
   const colour = (name) => getComputedStyle(root).getPropertyValue(`--${name}`).trim();
   const SEQUENTIAL = {
     light: [[0, "#d3e3ee"], [0.25, "#8fb9d8"], [0.5, "#3f88bf"], [0.75, "#0c5590"], [1, "#06264a"]],
@@ -17,7 +17,7 @@
   };
   const DIVERGING = {
     light: [[0, "#b84a00"], [0.5, "#f4f5f6"], [1, "#0063a5"]],
-    dark: [[0, "#f09550"], [0.5, "#22272c"], [1, "#62b5f0"]],
+    dark: [[0, "#c2622a"], [0.5, "#22272c"], [1, "#2f7dbd"]],
   };
   const scale = (scales) => scales[isDark() ? "dark" : "light"];
 
@@ -50,11 +50,20 @@
     return themed(merged);
   }
 
+  // On paper the width is that of the paper, not of the window.
+  const PAPER = 670;
+  const onPaper = (place) => {
+    if (!printing) return {};
+    const half = place.closest(".pair")?.children.length > 1;
+    return { autosize: false, width: half ? PAPER / 2 - 12 : PAPER, height: place.clientHeight };
+  };
   const CONFIG = { displayModeBar: false, responsive: true, displaylogo: false };
-  const draw = (id, data, own) => Plotly.react(byId(id), themed(data), layout(own), CONFIG);
+  const tooSmall = (name, data) => innerWidth < 760 && name === "correlation" && data[0].x.length > 6;
+  const fitting = (name, data) => (tooSmall(name, data) ? [{ ...data[0], texttemplate: "" }] : data);
+  const draw = (id, data, own) => Plotly.react(byId(id), themed(data), { ...layout(own), ...onPaper(byId(id)) }, CONFIG);
 
   function drawAll() {
-    for (const [name, chart] of Object.entries(page.charts)) draw(`chart-${name}`, chart.data, chart.layout);
+    for (const [name, chart] of Object.entries(page.charts)) draw(`chart-${name}`, fitting(name, chart.data), chart.layout);
     if (page.tracks.length) showTrack();
     const button = byId("theme");
     button.textContent = isDark() ? "Light" : "Dark";
@@ -178,6 +187,7 @@
       type: "scatter", mode: "markers", x: heads.x, y: heads.y, showlegend: false, hoverinfo: "skip",
       marker: { symbol: track.sees === "pose" ? "arrow" : "circle", size: track.sees === "pose" ? 19 : 9, angle: heads.angle, color: heads.color, line: { color: "$paper", width: 1 } },
     });
+    fitHeight(traces, `${state.drive} ${state.every}`);
     draw("chart-track", traces, {
       xaxis: { title: { text: "x [m]" }, scaleanchor: "y" }, yaxis: { title: { text: "y [m]" } },
       legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, traceorder: "reversed" }, uirevision: `${state.drive} ${state.every} ${windows ? current : 0}`,
@@ -191,6 +201,21 @@
       span.textContent = text;
       return span;
     }));
+  }
+
+  // As high as equal scales need, within what the page has room for.
+  let fitted = "";
+  function fitHeight(traces, of) {
+    const place = byId("chart-track"), wide = printing ? PAPER : place.clientWidth, key = `${of} ${wide}`;
+    if (key === fitted) return;
+    fitted = key;
+    const extent = (axis) => {
+      let low = Infinity, high = -Infinity;
+      for (const trace of traces) for (const v of trace[axis]) if (v !== null) { low = Math.min(low, v); high = Math.max(high, v); }
+      return Math.max(high - low, 1e-3);
+    };
+    const most = Math.min(0.7 * innerHeight, 640), wanted = 120 + (1.1 * wide * extent("y")) / extent("x");
+    place.style.height = `${Math.round(Math.max(Math.min(wanted, most), 280))}px`;
   }
 
   // Beginnings anew that are shorter than what lies between shown poses, or longer than every piece, make no sense.
@@ -254,8 +279,21 @@
 
   byId("theme").addEventListener("click", () => { root.dataset.theme = isDark() ? "light" : "dark"; drawAll(); });
   dark.addEventListener("change", drawAll);
-  addEventListener("beforeprint", () => { printing = true; drawAll(); });
-  addEventListener("afterprint", () => { printing = false; drawAll(); });
+  let width = innerWidth;
+  addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; drawAll(); } });
+  let chosen;
+  addEventListener("beforeprint", () => {
+    chosen = root.dataset.theme;
+    printing = true;
+    root.dataset.theme = "light";
+    drawAll();
+  });
+  addEventListener("afterprint", () => {
+    printing = false;
+    if (chosen) root.dataset.theme = chosen;
+    else delete root.dataset.theme;
+    drawAll();
+  });
   if (page.tracks.length) control();
   drawAll();
   root.dataset.ready = "true";

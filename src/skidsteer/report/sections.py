@@ -111,7 +111,7 @@ def _provenance(evidence: Evidence) -> Section:
         for d in made.drives
     ]
     drives = table(
-        ("drive", "source", "duration [s]", "increments", "weighed down", "SHA-256"), rows, (2, 3, 4), label="drives"
+        "drives", ("drive", "source", "duration [s]", "increments", "weighed down", "SHA-256"), rows, (2, 3, 4), (1, 5)
     )
     facts = {
         "software": made.software,

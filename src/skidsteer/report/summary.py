@@ -102,14 +102,20 @@ def _stretches(drift: Drift, unit: str) -> str:
 
 
 def _change(evidence: Evidence) -> Number | None:
+    """The separation multiplier, on the separation of the block to paste; on what the robot ships with in the note."""
     if evidence.forced is None:
         return None
-    vehicle, multipliers = known_vehicle(evidence.calibration.vehicle), evidence.forced.projection.multipliers
-    separation = vehicle.factory_separation or vehicle.track_width
-    radii = (multipliers.left_wheel_radius_multiplier, multipliers.right_wheel_radius_multiplier)
-    radius = f"radius multipliers {radii[0]:.3f} left and {radii[1]:.3f} right"
-    note = f"on a wheel_separation of {separation:g} m, with {radius}"
-    before = f"{vehicle.factory_multiplier or 1.0:g}"
+    own, known = evidence.calibration.vehicle, known_vehicle(evidence.calibration.vehicle)
+    multipliers = evidence.forced.projection.multipliers
+    separation = own.factory_separation or own.track_width
+    sides = multipliers.left_wheel_radius_multiplier, multipliers.right_wheel_radius_multiplier
+    before, note = "1", f"on a wheel_separation of {separation:g} m"
+    if known.factory_separation is not None and known.factory_multiplier is not None:
+        before = f"{known.factory_separation * known.factory_multiplier / separation:.4g}"
+        if own.factory_separation is None:
+            after = multipliers.separation / known.factory_separation
+            note += f"; on the {known.factory_separation:g} m it ships with {known.factory_multiplier:g} → {after:.3f}"
+    note += f"; radius multipliers {sides[0]:.3f} left, {sides[1]:.3f} right"
     return Number("wheel_separation_multiplier", before, f"{multipliers.separation / separation:.3f}", note)
 
 
@@ -157,10 +163,7 @@ def _caption(calibration: Calibration, vehicle: Vehicle, icrs: TreadIcrs) -> Con
     rows: list[tuple[str, Content]] = [
         ("icr", _pair("left tread ICR", icrs, 0)),
         ("icr", _pair("right tread ICR", icrs, 1)),
-        (
-            "icr-x",
-            f"icr_x: {figure(float(icrs.place[:, 0].mean()), 2)} m ahead of base_link, where the robot turns about",
-        ),
+        ("icr-x", _ahead(icrs)),
     ]
     slow = (
         "" if isinstance(calibration.model, MatrixModel) else " In a slow turn on the spot; they move with the speed."
@@ -175,3 +178,15 @@ def _pair(name: str, icrs: TreadIcrs, i: int) -> str:
     value, sigma = spread(float(icrs.place[i, 1]), float(icrs.covariance[i, 1, 1] ** 0.5))
     told = f"{value} m" if sigma == "fixed" else f"{value} ± {sigma} m"
     return f"{name}: y = {told}"
+
+
+def _ahead(icrs: TreadIcrs) -> str:
+    """Where the axis that the robot turns about lies."""
+    left, right = icrs.place[:, 0].tolist()
+    if abs(left - right) > 1e-3:  # a model in which the treads' ICRs are free
+        return f"x = {figure(left, 2)} m of the left one, {figure(right, 2)} m of the right one"
+    value, sigma = spread(abs(left), float(icrs.covariance[0, 0, 0] ** 0.5))
+    if sigma == "fixed":
+        return f"icr_x: {value} m, where the model takes the robot to turn about"
+    told = f"{value} ± {sigma} m"
+    return f"icr_x: {told} {'behind' if left < 0.0 else 'ahead of'} base_link, where the robot turns about"
