@@ -13,22 +13,22 @@ from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.figures.catalogue import FIGURES, write_figure
-from skidsteer.figures.material import Material, parse_part, parted
+from skidsteer.figures.material import Material, held_out, parse_part, parted
 from skidsteer.figures.observed import binned, coefficient, icrs, observe, scale
 from skidsteer.figures.trajectory import reckoned
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.io.calibration_file import save_calibration
 from skidsteer.io.folder import write_folder
 from skidsteer.models import Differential, Icr, SymmetricIcr
+from skidsteer.report.reckoner import Reckoner
 from skidsteer.samples import P3AT_TRUTH, sample
-from skidsteer.windows import Timing
 
 pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    return sample("p3at-lab").between(0.0, 90.0)
+    return sample("p3at-lab").between(0.0, 60.0)
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +36,24 @@ def material(drive: Drive) -> Material:
     return Material(calibrate(drive, options=CalibrateOptions(model="icr")), (drive,))
 
 
+@pytest.fixture(scope="module")
+def known(material: Material) -> tuple[Reckoner, ...]:
+    return material.reckoners("x")
+
+
+def test_the_drive_that_was_fitted_is_held_out(material: Material, known: tuple[Reckoner, ...]) -> None:
+    assert known[0].is_held_out
+    assert held_out(known) == ", held out"
+    seen = observe(known, material)
+    assert_allclose(seen.translation, known[0].errors(2.0).translation)
+    assert held_out([replace(known[0], parts=known[0].parts[:1])]) == ""
+
+
 @pytest.mark.parametrize("name", FIGURES)
-def test_every_figure_is_drawn_and_is_the_same_every_time(name: str, material: Material, tmp_path: Path) -> None:
+def test_every_figure_is_drawn_and_is_the_same_every_time(
+    name: str, material: Material, known: tuple[Reckoner, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Material, "reckoners", lambda *_: known)  # without fitting them again
     write_figure(name, material, tmp_path / "a.svg")
     write_figure(name, material, tmp_path / "b.svg")
     text = (tmp_path / "a.svg").read_text()
@@ -72,17 +88,14 @@ def test_what_is_missing_is_told(material: Material, tmp_path: Path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-def test_windows_tell_the_icrs_they_were_made_with(drive: Drive) -> None:
+def test_windows_tell_the_icrs_they_were_made_with(material: Material, drive: Drive) -> None:
     """The plant is the model, so that what is read off the windows is its truth but for noise."""
-    known = calibrate(drive, options=CalibrateOptions(model="icr"))
-    exact = replace(known, model=P3AT_TRUTH)
-    seen = observe(Material(exact, (drive,)), "x", turning=True)
-    assert_allclose(
-        np.median(icrs(seen.rims, seen.predicted, P3AT_TRUTH), axis=0), [-0.0120, 0.2553, -0.3071], atol=2e-3
-    )
-    assert_allclose(
-        np.median(icrs(seen.rims, seen.measured, P3AT_TRUTH), axis=0), [-0.0120, 0.2553, -0.3071], atol=0.02
-    )
+    truth = replace(material.calibration, model=P3AT_TRUTH)
+    exact = replace(material, calibration=truth, drives=(replace(drive, name="another"),))
+    (known,) = exact.reckoners("x")
+    seen = observe([known], exact, turning=True)
+    for twist, noise in ((seen.predicted, 0.002), (seen.measured, 0.02)):
+        assert_allclose(np.median(icrs(seen.rims, twist, P3AT_TRUTH), axis=0), [-0.0120, 0.2553, -0.3071], atol=noise)
     chi = coefficient(seen.rims, seen.measured[:, 2], P3AT_TRUTH, 0.4)
     assert np.median(chi) == pytest.approx((0.2553 + 0.3071) / 0.4, rel=0.02)
 
@@ -98,8 +111,8 @@ def test_icrs_by_hand() -> None:
     assert_allclose(scale(Differential(0.4)), 1.0)
 
 
-def test_lambda_is_infinite_straight_on(material: Material) -> None:
-    seen = observe(material, "x")
+def test_lambda_is_infinite_straight_on(material: Material, known: tuple[Reckoner, ...]) -> None:
+    seen = observe(known, material)
     straight = replace(seen, rims=np.tile([0.3, 0.3], (len(seen.rims), 1)))
     assert np.isinf(straight.path_curvature).all()
     assert replace(seen, rims=np.array([[0.1, 0.3]])).path_curvature == pytest.approx(2.0)
@@ -114,12 +127,11 @@ def test_bins_hold_equal_numbers() -> None:
     assert len(binned(x[:3], x[:3]).x) == 1
 
 
-def test_dead_reckoning_begins_anew(drive: Drive, material: Material) -> None:
-    once = reckoned(material.calibration.model, drive, material.calibration.timing, 0.0)
-    often = reckoned(material.calibration.model, drive, material.calibration.timing, 10.0)
-    assert (len(once.lines), len(often.lines)) == (1, 9)
+def test_dead_reckoning_begins_anew(drive: Drive, known: tuple[Reckoner, ...]) -> None:
+    once, often = reckoned(known[0], 0.0), reckoned(known[0], 10.0)
+    assert (len(once.lines), len(often.lines)) == (1, 6)
     assert often.off < once.off
-    nominal = reckoned(Differential.nominal(drive.vehicle), drive, Timing(), 0.0)
+    nominal = reckoned(known[0], 0.0, Differential.nominal(drive.vehicle))
     assert nominal.off > 10.0 * once.off
     assert drive.pose is not None
     assert_allclose(often.lines[1][0], often.reference[1][0])
@@ -129,7 +141,9 @@ def test_dead_reckoning_begins_anew(drive: Drive, material: Material) -> None:
 def test_a_part_is_shown_and_the_rest_calibrates(drive: Drive) -> None:
     shown, rest = parted([drive], *parse_part("20,40"))
     assert [d.span for d in shown] == [pytest.approx((20.0, 40.0), abs=0.02)]
-    assert [round(end) for d in rest for end in d.span] == [0, 20, 40, 90]
+    assert shown[0].name == "p3at-lab, 20 to 40 s"  # so that it does not pass for what the calibration was made from
+    assert {d.name for d in rest} == {"p3at-lab"}
+    assert [round(end) for d in rest for end in d.span] == [0, 20, 40, 60]
     for text, message in (("20", "two times A,B"), ("a,b", "two times A,B")):
         with pytest.raises(RequestError, match=message):
             parse_part(text)
@@ -137,8 +151,8 @@ def test_a_part_is_shown_and_the_rest_calibrates(drive: Drive) -> None:
         parted([drive], 40.0, 20.0)
     with pytest.raises(RequestError, match=r"does not move inside of 0 to 0\.5 s"):
         parted([drive], 0.0, 0.5)
-    with pytest.raises(RequestError, match="does not move outside of 0 to 90 s"):
-        parted([drive], 0.0, 90.0)
+    with pytest.raises(RequestError, match="does not move outside of 0 to 60 s"):
+        parted([drive], 0.0, 60.0)
 
 
 def test_the_command(material: Material, drive: Drive, call: Call, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,20 @@ def test_the_real_drive_is_found_where_the_variable_says(monkeypatch: pytest.Mon
     found = papers.real_drive()
     assert found is not None
     assert found.name == papers.REAL
+
+
+def test_where_nothing_can_be_written_nothing_is_calculated(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("x")
+    monkeypatch.setattr(papers, "reproduce", lambda *_: pytest.fail("calculated"))
+    code, out, err = call("reproduce", "all", "--out", tmp_path / "file" / "new")
+    assert (code, out) == (1, "")
+    assert "cannot be made a folder" in err
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    code, out, err = call("reproduce", "all", "--out", tmp_path / "new")
+    assert (code, out) == (1, "")
+    assert err.strip().endswith("drawing needs matplotlib: pip install 'skidsteer[figures]'")
 
 
 def test_differences_in_the_last_bits_are_none() -> None:

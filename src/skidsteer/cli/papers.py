@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skidsteer.cli.words import DRIVE_HELP, Json, Profile, Window, app, folder, positive
+from skidsteer.cli.words import DRIVE_HELP, Json, Profile, Window, app, positive
 from skidsteer.sources import Source, on_drives
 
 if TYPE_CHECKING:
@@ -32,13 +32,15 @@ def reproduce(
     from skidsteer.reproduce import papers
 
     names = papers.asked(paper)
+    if out is not None:
+        papers.prepare(out)
     with console.progress_bar() as report:
         real = papers.real_drive() if drive is None else load_drive(drive)
         done = {}
         for i, name in enumerate(names):
             report(name, i, len(names))
             done[name] = papers.reproduce(name, real)
-    files = () if out is None else papers.write(done, folder(out))
+    files = () if out is None else papers.write(done, out)
     if json:
         one = paper in done
         document = (

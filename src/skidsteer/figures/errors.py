@@ -8,10 +8,9 @@ import numpy as np
 from scipy.stats import beta, chi2
 
 from skidsteer.errors import RequestError
-from skidsteer.figures.material import Material
+from skidsteer.figures.material import Material, held_out
 from skidsteer.figures.observed import observe
 from skidsteer.figures.sheet import BLUE, COLUMN, GREY, PAGE, VERMILION, blank
-from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.se2 import FloatArray
 
 if TYPE_CHECKING:
@@ -56,30 +55,20 @@ def draw_models(material: Material) -> Sheet:
 
 def draw_residuals(material: Material) -> Sheet:
     """Errors of the calibrated model over the operating point: where it fails."""
-    seen = observe(material, "residuals")
-    errors = _errors(material)
+    known = material.reckoners("residuals")
+    seen, words = observe(known, material), held_out(known)
     sheet = blank(PAGE, 66.0)
     panels = sheet.subplots(1, 2, sharex=True, sharey=True)
-    sizes = (errors.translation, np.degrees(np.abs(errors.yaw)))
+    sizes = (seen.translation, np.degrees(np.abs(seen.yaw)))
     for axes, size, label in zip(panels, sizes, KINDS.values(), strict=True):
         order = np.argsort(size)  # the worst on top
         v, omega = seen.predicted[order, 0], seen.predicted[order, 2]
         top = float(np.quantile(size, 0.95))
         dots = axes.scatter(v, omega, c=size[order], s=9, cmap="viridis_r", vmin=0.0, vmax=top, linewidths=0)
-        sheet.colorbar(dots, ax=axes, label=f"error of the {label}", extend="max")
+        sheet.colorbar(dots, ax=axes, label=f"error of the {label}{words}", extend="max")
         axes.set(xlabel="v [m/s]")
     panels[0].set(ylabel=r"$\omega$ [rad/s]")
     return sheet
-
-
-def _errors(material: Material) -> WindowErrors:
-    known = material.calibration
-    return WindowErrors.join(
-        [
-            window_errors(known.model, drive, known.timing, material.window, known.mount, known.uncertainty)
-            for drive in material.needed("residuals")
-        ]
-    )
 
 
 def draw_coverage(material: Material) -> Sheet:
@@ -91,7 +80,8 @@ def draw_coverage(material: Material) -> Sheet:
     regions = material.calibration.regions
     if regions is None:
         raise RequestError("figure 'coverage' needs regions; this calibration has none: calibrate a longer drive")
-    squared = _errors(material).squared
+    known = material.reckoners("coverage")
+    squared = observe(known, material).squared
     squared = squared[np.isfinite(squared)]
     if not len(squared):
         raise RequestError(f"figure 'coverage': no window of {material.window:g} s has a predicted region")
@@ -104,7 +94,10 @@ def draw_coverage(material: Material) -> Sheet:
     fitted = np.array([regions.coverage(squared, share) for share in SHARES])
     axes.plot(100 * SHARES, 100 * gauss, color=VERMILION, linestyle=(0, (5, 1.5)), label="noise model, Gaussian")
     axes.plot(100 * SHARES, 100 * fitted, color=BLUE, label="regions, Student t")
-    axes.set(xlabel="share that the region claims [%]", ylabel=f"share of {len(squared)} end poses inside [%]")
+    axes.set(
+        xlabel="share that the region claims [%]",
+        ylabel=f"share of {len(squared)} end poses inside{held_out(known)} [%]",
+    )
     axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
     axes.legend(loc="upper left")
     return sheet

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
+from skidsteer.report.reckoner import Reckoner, reckoners
 
 LEAST_ROLLED = 1.0  # [m] by a side, for a part of a drive to be worth fitting
 
@@ -33,6 +34,14 @@ class Material:
         if not drives:
             raise RequestError(f"figure '{figure}' shows a drive with reference poses: give one with --drive DRIVE")
         return drives
+
+    def reckoners(self, figure: str) -> tuple[Reckoner, ...]:
+        """How each of these drives is predicted: held out, where the calibration was made from them.
+
+        Raises:
+            RequestError: there is none.
+        """
+        return reckoners(self.calibration, self.needed(figure))
 
 
 def parse_part(text: str) -> tuple[float, float]:
@@ -59,7 +68,8 @@ def parted(drives: Sequence[Drive], start: float, end: float) -> tuple[tuple[Dri
     shown, rest = [], []
     for drive in drives:
         first, last = drive.span
-        shown += _moving(drive, first + start, first + end)
+        name = f"{drive.name}, {start:g} to {end:g} s"  # not the drive that the rest is of
+        shown += [replace(part, name=name) for part in _moving(drive, first + start, first + end)]
         rest += [*_moving(drive, first, first + start), *_moving(drive, first + end, last)]
     if not (shown and rest):
         where = "inside" if not shown else "outside"
@@ -74,3 +84,8 @@ def _moving(drive: Drive, start: float, end: float) -> list[Drive]:
         return []
     rolled = np.abs(part.wheels.values[:-1]).max(axis=1, initial=0.0) @ np.diff(part.wheels.t)
     return [part] if rolled >= LEAST_ROLLED and part.reference is not None else []
+
+
+def held_out(known: Sequence[Reckoner]) -> str:
+    """What a label says of predictions: ", held out" where none was fitted to what it predicts."""
+    return ", held out" if all(one.is_held_out for one in known) else ""

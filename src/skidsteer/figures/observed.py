@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from skidsteer.calibration import Calibration
-from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.figures.material import Material
 from skidsteer.models import Model
+from skidsteer.report.reckoner import Reckoner
 from skidsteer.se2 import FloatArray, log, wrap
-from skidsteer.windows import judging_windows, predict, steps
+from skidsteer.windows import Mount, judging_windows, steps
 
 LEAST_TURN = float(np.radians(10.0))  # in a window, for its ICRs to be told
 SLOW = 0.1  # [m/s] at which the scale of the rims is read off a model
@@ -20,12 +20,15 @@ SLOW = 0.1  # [m/s] at which the scale of the rims is read off a model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """Windows (n,): mean rim speeds [m/s], twist by the reference and twist by the model, each held all through it."""
+    """Windows (n,): mean rim speeds, the twists held all through them that the reference and the model tell, errors."""
 
     rims: FloatArray  # (n, 2)
     measured: FloatArray  # (n, 3) v_x, v_y [m/s], omega [rad/s]
     predicted: FloatArray  # (n, 3)
     duration: FloatArray  # (n,) [s]
+    translation: FloatArray  # (n,) [m] by which the model ends wrong
+    yaw: FloatArray  # (n,) [rad] the same of its yaw
+    squared: FloatArray  # (n,) the same of its pose, by the predicted covariance
 
     def where(self, keep: np.ndarray) -> Observed:
         """Only the windows of a mask (n,)."""
@@ -38,32 +41,36 @@ class Observed:
         return np.asarray(np.divide(total, apart, out=np.full(len(total), np.inf), where=apart != 0.0))
 
 
-def observe(material: Material, figure: str, turning: bool = False) -> Observed:
-    """The judging windows of all drives; ``turning``: only those that turn by ``LEAST_TURN`` or more.
+def observe(known: Sequence[Reckoner], material: Material, turning: bool = False) -> Observed:
+    """The judging windows of drives; ``turning``: only those that turn by ``LEAST_TURN`` or more.
 
     Raises:
-        RequestError: no drive with poses, or no such window.
+        RequestError: there is no such window.
     """
-    parts = [_observe(material.calibration, drive, material.window) for drive in material.needed(figure)]
+    parts = [_observe(one, material.calibration.mount, material.window) for one in known]
     found = Observed(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Observed)))
     if turning:
         found = found.where(np.abs(found.measured[:, 2]) * found.duration >= LEAST_TURN)
     if not len(found.rims):
         what = f"turns by {np.degrees(LEAST_TURN):.0f} deg" if turning else "moves"
-        raise RequestError(f"figure '{figure}': there is no window of {material.window:g} s in which the robot {what}")
+        raise RequestError(f"the drives have no window of {material.window:g} s in which the robot {what}")
     return found
 
 
-def _observe(calibration: Calibration, drive: Drive, length: float) -> Observed:
+def _observe(reckoner: Reckoner, mount: Mount, length: float) -> Observed:
+    drive = reckoner.drive
+    errors = reckoner.errors(length)
     windows = judging_windows(drive, length)
+    windows = windows.where(np.isin(windows.start, errors.start))
     duration = windows.end - windows.start
-    cut = steps(drive.wheels, windows, calibration.timing, slopes=False)
+    cut = steps(drive.wheels, windows, reckoner.timing, slopes=False)
     rolled = np.add.reduceat(np.vstack([cut.distance, np.zeros((1, 2))]), cut.offsets[:-1], axis=0)
     rolled[np.diff(cut.offsets) == 0] = 0.0
-    body = calibration.mount.body(windows.motion)
-    predicted = predict(calibration.model, drive.wheels, windows, calibration.timing)
+    body, predicted = (mount.body(motion) for motion in (windows.motion, reckoner.motions(windows)))
     body[:, 2] = predicted[:, 2] + wrap(body[:, 2] - predicted[:, 2])  # windows may turn by more than half a turn
-    return Observed(rolled / duration[:, None], _twist(body, duration), _twist(predicted, duration), duration)
+    measured, expected = _twist(body, duration), _twist(predicted, duration)
+    sizes = (errors.translation, errors.yaw, errors.squared)
+    return Observed(rolled / duration[:, None], measured, expected, duration, *sizes)
 
 
 def _twist(motion: FloatArray, duration: FloatArray) -> FloatArray:

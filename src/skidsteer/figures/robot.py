@@ -9,9 +9,10 @@ import numpy as np
 from skidsteer.calibration import Calibration
 from skidsteer.figures.material import Material
 from skidsteer.figures.sheet import BLACK, BLUE, COLUMN, GREY, VERMILION, blank, to_scale
+from skidsteer.report.reckoner import known_vehicle
 from skidsteer.report.treads import ellipse, tread_icrs
 from skidsteer.se2 import FloatArray, rotate
-from skidsteer.vehicle import PRESETS, Vehicle
+from skidsteer.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,8 +55,7 @@ def _body(axes: Axes, vehicle: Vehicle) -> float:
     """Draw body and wheels; the wheel base [m] that they were drawn with."""
     from matplotlib.patches import FancyBboxPatch, Rectangle
 
-    known = PRESETS.get(vehicle.name.lower().removeprefix("clearpath-"))
-    base = vehicle.wheel_base or (known.wheel_base if known else None) or LENGTH * vehicle.track_width
+    base = known_vehicle(vehicle).wheel_base or LENGTH * vehicle.track_width
     r, half = vehicle.wheel_radius, 0.5 * vehicle.track_width
     thick, inner = 0.55 * r, half - 0.4 * r
     frame = FancyBboxPatch(

@@ -25,7 +25,7 @@ NAMES = ("icr_x", "icr_y_left", "icr_y_right")
 
 def draw_chi_lambda(material: Material) -> Sheet:
     """Chi of the windows that turn over lambda, with quartiles, the model, and Wang's curve fitted to them."""
-    seen = observe(material, "chi-lambda", turning=True)
+    seen = observe(material.reckoners("chi-lambda"), material, turning=True)
     ratio = np.abs(seen.path_curvature)
     seen, ratio = seen.where(ratio <= WIDEST), ratio[ratio <= WIDEST]
     model, width = material.calibration.model, material.calibration.vehicle.track_width
@@ -59,7 +59,7 @@ def _model_chi(material: Material, seen: Observed, ratio: FloatArray) -> FloatAr
 
 def draw_icr_speed(material: Material) -> Sheet:
     """The three coordinates of the ICRs over the speed: of the windows that turn, and as the model has them there."""
-    seen = observe(material, "icr-speed", turning=True)
+    seen = observe(material.reckoners("icr-speed"), material, turning=True)
     model = material.calibration.model
     measured, predicted = (icrs(seen.rims, twist, model) for twist in (seen.measured, seen.predicted))
     speed = seen.rims.mean(axis=1)

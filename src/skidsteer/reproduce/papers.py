@@ -8,7 +8,8 @@ from importlib import import_module
 from pathlib import Path
 
 from skidsteer.drive import Drive
-from skidsteer.errors import RequestError
+from skidsteer.errors import DataError, RequestError
+from skidsteer.figures.sheet import style
 from skidsteer.io.atomic import write_text
 from skidsteer.io.drives import load_drive
 from skidsteer.reproduce.figure import draw
@@ -88,19 +89,32 @@ def real_drive() -> Drive | None:
     return load_drive(folder) if folder.is_dir() else None
 
 
+def prepare(folder: Path) -> None:
+    """Make the folder for what will be written; to be asked before a long calculation.
+
+    Raises:
+        DataError: it cannot be made.
+        RequestError: matplotlib is not installed.
+    """
+    try:
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be made a folder: {error.strerror or error}") from error
+    with style():
+        pass
+
+
 def write(done: dict[str, Reproduction], folder: Path) -> tuple[Path, ...]:
     """Write reproduction.md, and each figure as figures/PAPER-NAME.svg, into a folder; the files written.
 
     Raises:
-        RequestError: there are figures, but matplotlib is not installed.
         DataError: a file cannot be written.
+        RequestError: matplotlib is not installed.
     """
     titles = {name: PAPERS[name].title for name in done}
-    files = [folder / "reproduction.md"]
-    for name, reproduction in done.items():
-        for figure in reproduction.figures:
-            files.append(folder / "figures" / f"{name}-{figure.name}.svg")
-            files[-1].parent.mkdir(exist_ok=True)
-            draw(figure, files[-1])
-    write_text(files[0], document(done, titles))
-    return tuple(files)
+    figures = {f"{name}-{figure.name}.svg": figure for name, one in done.items() for figure in one.figures}
+    prepare(folder)
+    for name, figure in figures.items():
+        draw(figure, folder / "figures" / name)
+    write_text(folder / "reproduction.md", document(done, titles))
+    return (folder / "reproduction.md", *(folder / "figures" / name for name in figures))
