@@ -109,7 +109,7 @@ def test_waypoints_in_reverse_with_words_for_people(call: Call, tmp_path: Path) 
     code, told, _ = call("follow", *words.split(), "--lost", "3-3.8", "--acceleration", 2)
     assert code == 0
     assert told.splitlines()[0] == (
-        "summit-xl on kinematic, by pentzer: arrived; it stands 0.00 m before the end of the path."
+        "summit-xl on kinematic, by pentzer: arrived; it stands 0.01 m from the end of the path."
     )
     assert told.splitlines()[1] == "believed: icr_symmetric, from the plant's own ICRs"
     assert "m of the path in" in told.splitlines()[2]

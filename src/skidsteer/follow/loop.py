@@ -19,7 +19,7 @@ from skidsteer.paths import Path
 from skidsteer.rolling import OverturnedError, Rolling
 from skidsteer.se2 import FloatArray
 
-NEAR_END = 0.5  # [m] before the end of an open path, within which a robot that its controller stops has arrived
+NEAR_END = 0.5  # [m] from the end of an open path, within which a robot that its controller stops has arrived
 STILL = 0.01  # [m/s] of the rims, below which the robot stands
 PATIENCE = 5.0  # [s] that it may stand on the way although poses come
 UNKNOWN = (math.nan, math.nan, math.nan)
@@ -139,11 +139,11 @@ class Judge:
         """Outcome and reason, or None: drive on; ``fastest`` [m/s] is the faster rim."""
         stands = fastest < STILL and memory.known is not None and memory.known.age == 0.0
         self._since = (self._since if self._since is not None else t) if stands else None
-        left = self._path.length - self.s
+        left = math.hypot(self._path.length - self.s, at.x_e, at.y_e)
         if self._path.closed and self.share >= 1.0:
             return "laps done", f"{self._ends.laps:g} laps are driven"
         if not self._path.closed and stands and memory.asked == STANDING and left <= NEAR_END:
-            return "arrived", f"it stands {left:.2f} m before the end of the path"
+            return "arrived", f"it stands {left:.2f} m from the end of the path"
         if (off := math.hypot(at.x_e, at.y_e)) > self._ends.off:
             return "lost the path", f"it is {off:.2f} m off at {t:.2f} s, more than {self._ends.off:g} m"
         if self._since is not None and t - self._since > PATIENCE:

@@ -13,6 +13,7 @@ from skidsteer.errors import RequestError
 from skidsteer.paths import Path
 
 CRAWL = 0.05  # [m/s] slower than which no wheels should have to drive a curve
+BEYOND = 0.3  # [m] past the end of a path, from which on nothing of it is left to drive
 SLOW = 0.3  # [m/s] at which a model tells where its ICR is
 
 
@@ -51,13 +52,20 @@ def sharpest(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def refuse_start(path: Path, start: ArrayLike, off: float) -> None:
-    """Refuse a start (3,) farther from the path than ``off`` [m].
+    """Refuse a start (3,) farther from the path than ``off`` [m], or beyond its end.
 
     Raises:
         RequestError: it is.
     """
     x, y, _ = np.asarray(start, dtype=float).tolist()
-    at = path.frame(path.project((x, y)))
+    s = path.project((x, y))
+    at = path.frame(s)
+    ahead = math.cos(at.yaw) * (x - at.x) + math.sin(at.yaw) * (y - at.y)
+    if not path.closed and s == path.length and ahead > BEYOND:
+        raise RequestError(
+            f"the start ({x:g}, {y:g}) is {ahead:.2f} m beyond the end of the path; begin before it, or drive the path"
+            " the other way"
+        )
     if (distance := math.hypot(x - at.x, y - at.y)) > off:
         raise RequestError(
             f"the start ({x:g}, {y:g}) is {distance:.2f} m off the path, more than {off:g} m; begin nearer to it, or"
