@@ -37,8 +37,8 @@ JUMP = 8.0  # sigmas of a pose from which on the map has leapt
 STIFFEST = 0.01  # [s^2/m] compliance to begin with, where the model tells none
 USUAL_EASE = 0.7  # of a robot that is not known yet
 # what is not known at the beginning, and how much of it a second adds, at an agility of 1
-FIRST_SLIP = np.array([0.05, 0.05, 0.1, 0.01, 0.03, 0.05, 0.05])  # side, scale, loss, turn, icr_x, compliance, give
-WANDER_SLIP = np.array([0.035, 0.05, 0.055, 0.002, 0.015, 0.0135, 0.033])
+FIRST_SLIP = np.array([0.05, 0.05, 0.1, 0.01, 0.1, 0.05, 0.1])  # side, scale, loss, turn, icr_x, compliance, give
+WANDER_SLIP = np.array([0.035, 0.05, 0.055, 0.002, 0.03, 0.0135, 0.033])
 FIRST_TURN = np.array([0.01, 0.1, 0.1, 0.3])  # omega, gain, drift, ease
 WANDER_TURN = np.array([0.28, 0.06, 0.066, 0.17])
 WANDER_POSE = 1e-3  # [m], [rad] in a second

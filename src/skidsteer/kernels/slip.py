@@ -20,8 +20,10 @@ STATES = 10
 # Places in the state t of the turn
 OMEGA, GAIN, DRIFT, EASE = range(4)
 TURNS = 4
-LEAST_COMPLIANCE, GREATEST_COMPLIANCE = -0.05, 0.5  # [s^2/m]
+# what is credible
+LEAST_COMPLIANCE, GREATEST_COMPLIANCE = 0.0, 0.5  # [s^2/m]
 LEAST_GAIN, GREATEST_GAIN = 0.3, 3.0
+GREATEST_EASE = 1.6  # with the steepest slip angle it leaves a third of the resistance
 
 
 @njit(cache=True)
@@ -205,3 +207,4 @@ def turn(
     P -= np.outer(K, P[OMEGA].copy())
     P[:] = 0.5 * (P + P.T)
     t[GAIN] = min(max(t[GAIN], LEAST_GAIN), GREATEST_GAIN)
+    t[EASE] = min(max(t[EASE], 0.0), GREATEST_EASE)
