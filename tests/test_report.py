@@ -156,7 +156,9 @@ def test_positions_and_gyro_alone_tell_what_they_can() -> None:
     seen = track(Reckoner(positions, part, WHOLE, False), {})
     assert seen is not None
     assert seen.sees == "position"
-    assert drift_per_10_m([seen]) is None
+    bowed = drift_per_10_m([seen])
+    assert bowed is not None
+    assert bowed.is_fitted
     rate = np.gradient(np.unwrap(drive.pose.values[:, 2]), drive.pose.t)
     gyro = replace(drive, pose=None, gyro=Series(drive.pose.t, rate, "gyro"))
     turned = track(Reckoner(gyro, part, WHOLE, False), {"nominal": Differential(0.4)})
@@ -191,6 +193,20 @@ def test_drift_by_hand() -> None:
     bow = drift_per_10_m([driven(straight, nominal=bent, calibrated=straight)])
     assert bow is not None
     assert_allclose(bow.errors["nominal"], np.hypot(*(chain(bent[:10])[-1, :2] - [10.0, 0.0])))
+
+
+def test_without_headings_stretches_are_fitted() -> None:
+    """A straight of 10 m against one that is 10 % longer, both centred: RMS of 5 % of the distance from the middle."""
+    straight = np.tile([0.1, 0.0, 0.0], (400, 1))
+    seen = replace(driven(straight, nominal=straight * [1.1, 1.0, 1.0], calibrated=straight), sees="position")
+    turned = {**seen.poses, "reference": compose([5.0, -3.0, 2.0], seen.poses["reference"])}
+    found = drift_per_10_m([replace(seen, poses=turned)])
+    assert found is not None
+    assert (found.is_fitted, found.whole, found.length) == (True, 10.0, 10.0)
+    assert 3.0 <= found.stretches <= 4.0
+    places = 0.1 * np.arange(101)
+    assert_allclose(found.errors["nominal"], 0.1 * places.std(), rtol=1e-6)
+    assert_allclose(found.errors["calibrated"], 0.0, atol=1e-9)
 
 
 def test_short_drives_are_scaled_up() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skidsteer.metrics import aligned_rms
 from skidsteer.report.tracks import Track, motion_between
 from skidsteer.se2 import FloatArray, wrap
 
@@ -23,39 +24,65 @@ class Drift:
     whole: float
     length: float
     stretches: float  # independent ones
+    is_fitted: bool = False  # RMS distances along stretches that were turned and moved to fit; nothing is scaled
 
 
 def drift_per_10_m(tracks: Sequence[Track]) -> Drift | None:
     """Median distance [m] of the end position after 10 m from the reference; None where no drive goes so far.
 
     Every pose begins a stretch, which ends when the calibrated model has moved so far: overlapping stretches use all
-    that was driven. Where the drives have too few of 10 m, shorter ones are scaled up.
+    that was driven. Where the drives have too few of 10 m, shorter ones are scaled up. Where no reference tells
+    headings, stretches one after the other are turned and moved to fit the reference best, and the median of their RMS
+    distances is told, of shorter stretches where there are too few.
     """
     posed = [track for track in tracks if track.sees == "pose"]
+    placed = [track for track in tracks if track.sees == "position"]
     for length in DISTANCES:
-        found = [_position_errors(track, length) for track in posed]
+        found = [_position_errors(track, length) for track in posed] or [_fitted_errors(t, length) for t in placed]
         count = sum(number for _, number in found)
         if count >= ENOUGH:
-            return _drift([errors for errors, _ in found], DISTANCES[0], length, count)
+            whole = DISTANCES[0] if posed else length
+            return _drift([errors for errors, _ in found], whole, length, count, is_fitted=not posed)
     return None
 
 
 def _position_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], float]:
     """Errors (k,) [m] of each model over stretches of a track, and the number of independent ones."""
-    here = track.poses["calibrated"][:, :2]
-    step = np.hypot(*np.diff(here, axis=0, prepend=here[:1]).T)
-    step[np.diff(track.piece, prepend=-1) != 0] = 0.0
-    travelled = np.cumsum(step)
-    end = _ends(travelled, length)
-    i = np.flatnonzero(end < len(track))
-    i = i[track.piece[end[i]] == track.piece[i]]
+    i, end, count = _stretches(track, length)
     true = motion_between(track.poses["reference"], i, end[i])
     errors = {}
     for name in _models(track):
         error = motion_between(track.poses[name], i, end[i])[:, :2] - true[:, :2]
         errors[name] = np.hypot(error[:, 0], error[:, 1])
+    return errors, count
+
+
+def _stretches(track: Track, length: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """First index (k,) of each stretch, the index (n,) where one from each pose ends, and how many are independent."""
+    here = track.poses["calibrated"][:, :2]
+    step = np.hypot(*np.diff(here, axis=0, prepend=here[:1]).T)
+    step[np.diff(track.piece, prepend=-1) != 0] = 0.0
+    end = _ends(np.cumsum(step), length)
+    i = np.flatnonzero(end < len(track))
+    i = i[track.piece[end[i]] == track.piece[i]]
     lengths = np.bincount(track.piece, step)
-    return errors, float(np.floor(lengths / length).sum()) if len(i) else 0.0
+    return i, end, float(np.floor(lengths / length).sum()) if len(i) else 0.0
+
+
+def _fitted_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], float]:
+    """RMS distances (k,) [m] of each model along stretches one after the other, each turned and moved to fit."""
+    begins, end, _ = _stretches(track, length)
+    reference = track.poses["reference"][:, :2]
+    errors: dict[str, list[float]] = {name: [] for name in _models(track)}
+    last = -1
+    for i in begins.tolist():
+        if i < last:
+            continue
+        last = int(end[i])
+        for name, found in errors.items():
+            found.append(aligned_rms(track.poses[name][i : last + 1, :2], reference[i : last + 1]))
+    count = len(next(iter(errors.values()), []))
+    return {name: np.array(found) for name, found in errors.items()}, float(count)
 
 
 def yaw_per_turn(tracks: Sequence[Track]) -> Drift | None:
@@ -97,7 +124,9 @@ def _models(track: Track) -> list[str]:
     return [name for name in track.poses if name != "reference"]
 
 
-def _drift(parts: list[dict[str, FloatArray]], whole: float, length: float, count: float) -> Drift:
+def _drift(
+    parts: list[dict[str, FloatArray]], whole: float, length: float, count: float, is_fitted: bool = False
+) -> Drift:
     names = parts[0].keys()
     pooled = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    return Drift({n: float(np.median(e)) * whole / length for n, e in pooled.items()}, whole, length, count)
+    return Drift({n: float(np.median(e)) * whole / length for n, e in pooled.items()}, whole, length, count, is_fitted)

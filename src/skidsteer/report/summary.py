@@ -45,22 +45,16 @@ def sentence(evidence: Evidence) -> str:
     """What this calibration changes, in one sentence."""
     before, drift, turn = before_name(evidence), evidence.drift, evidence.turn
     who = "the robot's dead reckoning as it ships" if before == "shipped" else "plain dead reckoning"
-    if drift is not None and turn is not None:
-        return (
-            f"On ground like this, {who} is {_metres(drift, before)} off after 10 m and {_degrees(turn, before)} after"
-            f" a full turn; with this calibration it is {_metres(drift, 'calibrated')} and"
-            f" {_degrees(turn, 'calibrated')}."
+    if drift is not None or turn is not None:
+        was = (
+            [f"{_metres(drift, before)} off {'along' if drift.is_fitted else 'after'} {drift.whole:g} m"]
+            if drift
+            else []
         )
-    if turn is not None:
-        return (
-            f"On ground like this, {who} is {_degrees(turn, before)} off after a full turn; with this calibration it is"
-            f" {_degrees(turn, 'calibrated')}."
-        )
-    if drift is not None:
-        return (
-            f"On ground like this, {who} is {_metres(drift, before)} off after 10 m; with this calibration it is"
-            f" {_metres(drift, 'calibrated')}."
-        )
+        was += [f"{_degrees(turn, before)} {'' if drift else 'off '}after a full turn"] if turn else []
+        now = [_metres(drift, "calibrated")] if drift else []
+        now += [_degrees(turn, "calibrated")] if turn else []
+        return f"On ground like this, {who} is {' and '.join(was)}; with this calibration it is {' and '.join(now)}."
     nominal = evidence.calibration.vehicle.track_width
     turn = evidence.calibration.model.twist(-SLOW, SLOW)[2]
     width = float(2.0 * SLOW / turn)
@@ -83,7 +77,8 @@ def _distance(evidence: Evidence) -> Number | None:
     drift, before = evidence.drift, before_name(evidence)
     if drift is None:
         return None
-    return Number("drift per 10 m", _metres(drift, before), _metres(drift, "calibrated"), _stretches(drift, "m"))
+    title = f"path error along {drift.whole:g} m" if drift.is_fitted else f"drift per {drift.whole:g} m"
+    return Number(title, _metres(drift, before), _metres(drift, "calibrated"), _stretches(drift, "m"))
 
 
 def _turn(evidence: Evidence) -> Number | None:
@@ -97,6 +92,10 @@ def _turn(evidence: Evidence) -> Number | None:
 
 def _stretches(drift: Drift, unit: str) -> str:
     length = figure(drift.length, 3 if drift.length >= 100 else 2 if drift.length >= 10 else 1, unit)
+    if drift.is_fitted:
+        return (
+            f"median RMS over {drift.stretches:.0f} stretches of {length}, each turned and moved to fit the reference"
+        )
     scaled = "" if drift.length == drift.whole else ", scaled up"
     return f"median over stretches of {length}{scaled}; {drift.stretches:.0f} that do not overlap"
 
