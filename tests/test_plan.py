@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skidsteer.calibration import Calibration
+from skidsteer.calibration import Calibration, Estimate
 from skidsteer.errors import RequestError
 from skidsteer.identify.excursion import expected_model, trajectory
 from skidsteer.models import MODELS, Differential, Icr, Model
@@ -244,6 +244,8 @@ def test_a_driver_by_a_calibration(rough: Calibration) -> None:
     order = [rough.names.index(name) for name in ("icr_y", "alpha")]
     assert_allclose(made.uncertainty.covariance[:2, :2], rough.covariance[np.ix_(order, order)])
     assert made.uncertainty.covariance[3, 3] == rough.estimates["lag"].sigma ** 2
+    late = replace(rough, estimates={**rough.estimates, "lag": Estimate(0.13, 0.01, "s")})
+    assert Driver.of(late).lag == 0.13
     fixed = replace(
         rough,
         names=rough.names[:2],
