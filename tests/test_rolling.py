@@ -21,7 +21,7 @@ from skidsteer.se2 import compose, exp
 from skidsteer.simulate import controller, rims_from_manoeuvres
 from skidsteer.terramechanics.dynamics import RollingRobot, move
 from skidsteer.terramechanics.robot import robot
-from skidsteer.terramechanics.terrain import parse_ground
+from skidsteer.terramechanics.terrain import TERRAINS, Area, Ground, parse_ground
 from skidsteer.vehicle import preset
 
 engine = pytest.mark.skipif(find_spec("mujoco") is None, reason="mujoco is not installed")
@@ -85,6 +85,16 @@ def test_a_start_elsewhere_is_the_same_way_from_there(name: str) -> None:
     assert_allclose(there[:, :3], compose(start, here[:, :3]), atol=2e-3 if name == "mujoco" else 1e-9)
     assert_allclose(there[0, :3], start)
     assert_allclose(begin(name, SUMMIT, GRASS, start).step((0.0, 0.0), 0.0)[:3], start, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["terramechanic", pytest.param("mujoco", marks=engine)])
+def test_areas_of_the_ground_lie_where_the_start_is_told(name: str) -> None:
+    icy = Ground(TERRAINS["concrete"], (Area(TERRAINS["ice"], x=(4.0, math.inf)),))
+    on, off = (stepped(begin(name, SUMMIT, icy, (x, 0.0, 0.0)), COMMANDS) for x in (5.0, 0.0))
+    ice, concrete = (stepped(begin(name, SUMMIT, parse_ground(g)), COMMANDS) for g in ("ice", "concrete"))
+    assert_allclose(on[:, 3:], ice[:, 3:], atol=2e-3)
+    assert_allclose(off[:, 3:], concrete[:, 3:], atol=2e-3)
+    assert np.abs(ice[:, 3:] - concrete[:, 3:]).max() > 0.3
 
 
 @pytest.mark.parametrize("name", ["kinematic", "terramechanic", pytest.param("mujoco", marks=engine)])

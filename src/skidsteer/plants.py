@@ -75,7 +75,7 @@ def begin(
     Args:
         name: of the plant.
         vehicle: what is not known of it is assumed, see ``robot``.
-        ground: its areas lie in the frame of ``start``, its times count from the beginning.
+        ground: its areas lie in the frame in which ``start`` is told, its times count from the beginning.
         start: (3,) pose.
         lag: [s] with which the rims follow what they are asked for.
         model: of the kinematic plant; None: ``point_contacts``.
