@@ -478,6 +478,16 @@ def test_steps_of_another_length_than_the_period() -> None:
         assert np.abs(run.cross_track[run.t > 4.0]).max() < 0.02
 
 
+def test_a_scheduled_model_tells_the_slip_to_begin_with() -> None:
+    """side = -(0.28 omega' + 0.2 v omega / (1 + 0.1 v)); omega' is 1 + 0.2 v^2 / (1 + v^2) + ... of omega."""
+    law = replace(controller(1.5), scheduled=WRONG["scheduled"])
+    now = law.begin(EIGHT, EIGHT.at(3.0)).estimate.now
+    gain = 1.0 + 0.2 * 1.5**2 / (1.0 + 1.5**2) + 0.3 * 0.4 / 3.4
+    by_hand = 0.28 + 0.2 * 1.5 / (1.0 + 0.1 * 1.5) / gain
+    assert now[slip.ICR_X] == pytest.approx(0.28 + 0.2 * 0.1, abs=2e-3)
+    assert now[slip.ICR_X] + now[slip.COMPLIANCE] * 1.5**2 == pytest.approx(by_hand, abs=0.01)
+
+
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="need reach > 0"):
         PredictiveGains(reach=0.0)

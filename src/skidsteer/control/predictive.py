@@ -35,6 +35,7 @@ from skidsteer.control.path_state import (
 from skidsteer.control.profile import Limits, SpeedProfile, rims_by_speed, speed_profile
 from skidsteer.control.speed import Wheels, icr_x_at
 from skidsteer.kernels import horizon, slip, stage
+from skidsteer.models import Model
 from skidsteer.paths import Path
 from skidsteer.se2 import FloatArray
 
@@ -84,6 +85,9 @@ class PredictiveState(PathState):
 class Predictive:
     """Path following by prediction. A twist's v_x is that of the rims by the model of ``wheels``, its omega a gyro's.
 
+    ``wheels`` had better hold a constant ICR, ``ScheduledIcr.constant`` of a scheduled one: rims that are linear in v
+    and omega, from which the observer tells the slip. What a calibration knows of that at speed is ``scheduled``.
+
     Pose and twist are taken in by ``begin`` and ``advance``; ``command`` tells what they planned.
     """
 
@@ -92,6 +96,7 @@ class Predictive:
     limits: Limits
     observer: Observer
     period: float = 0.02  # [s] from command to command
+    scheduled: Model | None = None  # tells the slip to begin with; None: the model of the wheels
     horizon: float = 1.2  # [s] at least; longer where it drives so slowly that it would not come ``WAY`` far
 
     def __post_init__(self) -> None:
@@ -108,7 +113,8 @@ class Predictive:
         """
         start = PathState.begin(path, pose)
         speed, ahead = self.limits.speed, start.direction
-        slow, fast = (ahead * icr_x_at(self.wheels.model, ahead * v, BEND) for v in (min(SLOW, speed), speed))
+        model = self.scheduled or self.wheels.model
+        slow, fast = (ahead * icr_x_at(model, ahead * v, BEND) for v in (min(SLOW, speed), speed))
         estimate = self._observer.begin(_along(finite("pose", pose), ahead), slow, (fast - slow) / speed**2)
         horizon = max(self.horizon, WAY * (self.gains.reach + abs(fast)) / speed)
         step = max(self.period, horizon / STAGES)
