@@ -140,11 +140,11 @@ def test_the_command_prints_and_writes(call: Call, tmp_path: Path) -> None:
     assert re.search(r"\d+ reproduced; \d+ corrected; \d+ cannot be reproduced", out)
 
 
-def test_all_papers_at_once(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_papers_at_once(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     few = {name: PAPERS[name] for name in ("mandow2007", "huskic2017")}
     asked = []
     monkeypatch.setattr(papers, "PAPERS", few)
-    monkeypatch.setattr(papers, "real_drive", lambda: None)
+    monkeypatch.setenv(papers.DATA, str(tmp_path))
     monkeypatch.setattr(papers, "reproduce", lambda name, drive: asked.append((name, drive)) or done())
     code, out, err = call("reproduce", "all", "--json")
     assert code == 0, err
@@ -161,11 +161,14 @@ def test_all_papers_at_once(call: Call, monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_real_drive_is_found_where_the_variable_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(papers.DATA, str(tmp_path))
-    assert papers.real_drive() is None
+    assert papers.real_drive(["mandow2007"]) is None
     write_folder(sample("p3at-lab").between(0.0, 5.0), tmp_path / papers.REAL)
-    found = papers.real_drive()
+    assert papers.real_drive(["wang2015"]) is None
+    found = papers.real_drive(["wang2015", "mandow2007"])
     assert found is not None
     assert found.name == papers.REAL
+    with pytest.raises(RequestError, match="--drive is of no use here: a drive is taken by mandow2007"):
+        papers.real_drive(["wang2015"], "sample:p3at-lab")
 
 
 def test_where_nothing_can_be_written_nothing_is_calculated(

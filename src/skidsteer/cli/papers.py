@@ -16,26 +16,31 @@ if TYPE_CHECKING:
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER|all", help="giannoccaro2015, thalmann2016, wang2015 ...")],
+    paper: Annotated[
+        str,
+        typer.Argument(
+            metavar="PAPER|all", help="mandow2007, wang2015, giannoccaro2015, thalmann2016, huskic2017 or all"
+        ),
+    ],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="write reproduction.md and figures/*.svg")] = None,
     drive: Annotated[
         str | None,
         typer.Option(
-            metavar="DRIVE", help=f"a real one to stand in for Mandow's: {DRIVE_HELP}; default: $SKIDSTEER_DATA"
+            metavar="DRIVE",
+            help=f"a real one beside Mandow's: {DRIVE_HELP}; default: that in $SKIDSTEER_DATA",
         ),
     ] = None,
     json: Json = False,
 ) -> None:
     """A paper's printed figures beside ours, with a verdict on each."""
     from skidsteer import console, documents
-    from skidsteer.io.drives import load_drive
     from skidsteer.reproduce import papers
 
     names = papers.asked(paper)
     if out is not None:
         papers.prepare(out)
     with console.progress_bar() as report:
-        real = papers.real_drive() if drive is None else load_drive(drive)
+        real = papers.real_drive(names, drive)
         done = {}
         for i, name in enumerate(names):
             report(name, i, len(names))

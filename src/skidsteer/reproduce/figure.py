@@ -35,6 +35,7 @@ class Figure:
 
 
 FEW = 12  # points that are marked
+BESIDE = 5  # curves that are named inside the axes
 MEASURED: dict[str, Any] = {"color": "#999999", "linewidth": 2.4, "zorder": 1.5}
 
 
@@ -50,11 +51,12 @@ def draw(figure: Figure, path: Path) -> None:
         DataError: the file cannot be written.
     """
     with style():
-        sheet = blank(1.4 * COLUMN, 80.0)
+        below = len(figure.curves) > BESIDE
+        sheet = blank(1.4 * COLUMN, 80.0 + (2.2 * len(figure.curves) if below else 0.0))
         axes = sheet.add_subplot()
         for i, curve in enumerate(figure.curves):
             look = {"label": curve.label, **(MEASURED if curve.measured else _look(i))}
-            mark = "" if curve.measured or len(curve.x) > FEW else MARKERS[i % len(MARKERS)]
+            mark = "" if curve.measured or figure.to_scale or len(curve.x) > FEW else MARKERS[i % len(MARKERS)]
             if curve.low is None or curve.high is None:
                 axes.plot(curve.x, curve.y, marker=mark, **look)
             else:
@@ -63,5 +65,8 @@ def draw(figure: Figure, path: Path) -> None:
         axes.set(xlabel=figure.x_label, ylabel=figure.y_label)
         if figure.to_scale:
             axes.set_aspect("equal", adjustable="datalim")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5)) if len(figure.curves) > 5 else axes.legend()
+        if below:
+            sheet.legend(loc="outside lower center", ncols=2)
+        else:
+            axes.legend()
         save(sheet, path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -83,10 +84,26 @@ def reproduce(paper: str, drive: Drive | None = None) -> Reproduction:
     return done
 
 
-def real_drive() -> Drive | None:
-    """The drive ``REAL`` in the folder that ``SKIDSTEER_DATA`` names (or ../shared/data); None where it is not."""
+def real_drive(papers: Sequence[str], path: str | None = None) -> Drive | None:
+    """The drive that stands in where papers take one; None where none does, or none is there.
+
+    Args:
+        papers: keys of ``PAPERS``.
+        path: of the drive; None: ``REAL`` in the folder that ``SKIDSTEER_DATA`` names (or ../shared/data).
+
+    Raises:
+        RequestError: a drive is given, but none of the papers takes one.
+        DataError: it cannot be read.
+    """
+    takers = [name for name, paper in PAPERS.items() if paper.on_drive]
+    if not set(takers) & set(papers):
+        if path is not None:
+            raise RequestError(f"--drive is of no use here: a drive is taken by {', '.join(takers)}")
+        return None
     folder = Path(os.environ.get(DATA, Path("..", "shared", "data"))) / REAL
-    return load_drive(folder) if folder.is_dir() else None
+    if path is None and not folder.is_dir():
+        return None
+    return load_drive(path or folder)
 
 
 def prepare(folder: Path) -> None:
