@@ -55,8 +55,8 @@ def test_every_lap_is_a_row_and_a_curve() -> None:
     assert all(np.isnan(row.paper) and "a few centimetres" in row.reason for row in rows)
     by_way = [float(laps(name, way).errors.mean()) for name in FLOORS for way in WAYS]
     assert [row.ours for row in rows] == pytest.approx(by_way)
-    (figure,) = done.figures
+    (figure,) = (f for f in done.figures if f.name == "figure-11")
     assert [c.label for c in figure.curves[:2]] == ["planned", "obstacle"]
     named = {place.name for place in done.places if done.rows_of(place) or done.figures_of(place)}
-    assert named == {*(f"Table {i}" for i in range(1, 6)), "Fig. 10", "Fig. 11"}
+    assert named >= {*(f"Table {i}" for i in range(1, 6)), "Fig. 10", "Fig. 11"}
     assert all(place.not_computed for place in done.places if place.name not in named)

@@ -161,7 +161,9 @@ def _assemble(
         segments=segments,
         labels=labels,
         source=source,
+        antenna=None,  # no file tells it: --mount does
         sha256=hashlib.sha256(b"".join(contents.values())).hexdigest(),
+        antenna=None,  # a folder does not tell: --mount does
     )
 
 
