@@ -163,7 +163,6 @@ def _assemble(
         source=source,
         antenna=None,  # no file tells it: --mount does
         sha256=hashlib.sha256(b"".join(contents.values())).hexdigest(),
-        antenna=None,  # a folder does not tell: --mount does
     )
 
 
