@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from control_loop import PLANT
 from skidsteer.control import Limits, Observer, Predictive, PredictiveGains, Wheels, speed_profile
 from skidsteer.control.predictive import PredictiveState
-from skidsteer.errors import DataError
+from skidsteer.errors import DataError, RequestError
 from skidsteer.follow import Ends, Jump, Run, Sensing, follow
 from skidsteer.kernels import horizon, lags, slip, stage
 from skidsteer.models import Icr, Model, ScheduledIcr
@@ -486,6 +487,26 @@ def test_a_scheduled_model_tells_the_slip_to_begin_with() -> None:
     by_hand = 0.28 + 0.2 * 1.5 / (1.0 + 0.1 * 1.5) / gain
     assert now[slip.ICR_X] == pytest.approx(0.28 + 0.2 * 0.1, abs=2e-3)
     assert now[slip.ICR_X] + now[slip.COMPLIANCE] * 1.5**2 == pytest.approx(by_hand, abs=0.01)
+
+
+def test_more_than_the_wheels_can_do_is_as_fast_as_they_can() -> None:
+    run = drive(controller(50.0, wheels=Wheels(PLANT, 1.2)))
+    assert run.done
+    assert 0.95 * 1.2 <= np.abs(run.sent).max() <= 1.2
+    assert np.abs(run.cross_track[run.t > 4.0]).max() < 0.01
+
+
+class Mute(Icr):
+    def wheel_speeds(self, v: ArrayLike, omega: ArrayLike) -> FloatArray:
+        return super().wheel_speeds(v, omega) * math.nan
+
+
+def test_a_speed_of_which_a_model_tells_nothing_is_refused() -> None:
+    law, mute = controller(2.5), Mute(*PLANT.theta)
+    with pytest.raises(RequestError, match=r"the model icr tells no ICR at 2\.50 m/s; ask for a lower speed"):
+        replace(law, scheduled=mute).begin(EIGHT, EIGHT.at(3.0))
+    with pytest.raises(RequestError, match=r"the model icr tells no rim speeds at 2\.5 m/s"):
+        replace(law, wheels=Wheels(mute, 3.0)).begin(EIGHT, EIGHT.at(3.0))
 
 
 def test_what_cannot_be_is_refused() -> None:

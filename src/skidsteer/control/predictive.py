@@ -8,7 +8,7 @@ rims and within the wheels' limits, make small
 
 (``kernels.horizon``). The course is the direction in which the origin moves against the tangent, not that in which the
 robot looks: curves have no offset. Beyond a knee the offset counts in proportion, so that far from the path the robot
-comes nearer at theta_a. Facing away from the path it stands and turns, as Huskic's does.
+comes nearer at theta_a. Facing away from the path it stands and turns, as Huskić's does.
 
 A plan is a simulated drive and no worse than the rest of the one before, so that a search that is not at its end does
 no harm. Where its cost is not finite the robot drives on with the rest of the plan before and brakes.
@@ -34,6 +34,7 @@ from skidsteer.control.path_state import (
 )
 from skidsteer.control.profile import Limits, SpeedProfile, rims_by_speed, speed_profile
 from skidsteer.control.speed import Wheels, icr_x_at
+from skidsteer.errors import RequestError
 from skidsteer.kernels import horizon, slip, stage
 from skidsteer.models import Model
 from skidsteer.paths import Path
@@ -72,7 +73,7 @@ class PredictiveState(PathState):
 
     estimate: Estimate
     profile: SpeedProfile
-    by_turn: FloatArray  # (2, 2) rim speeds of a m/s and of a rad/s, in the direction of driving
+    rims: FloatArray  # (2, 2) rim speeds of a m/s and of a rad/s, in the direction of driving
     stage: float  # [s] of the plan
     asked: Command  # last speed [m/s], in the direction of driving, and yaw rate [rad/s]
     plan: FloatArray  # (n,) [rad/s^2] rates of the yaw rate asked for
@@ -109,25 +110,27 @@ class Predictive:
 
         Raises:
             DataError: a pose that is not finite.
-            RequestError: a model that tells no rim speeds.
+            RequestError: a model that tells no rim speeds or no ICR at the speed of the profile.
         """
-        start = PathState.begin(path, pose)
-        speed, ahead = self.limits.speed, start.direction
+        start, profile = PathState.begin(path, pose), speed_profile(path, self.wheels, self.limits)
+        speed, ahead = float(profile.speeds.max()), start.direction
         model = self.scheduled or self.wheels.model
         slow, fast = (ahead * icr_x_at(model, ahead * v, BEND) for v in (min(SLOW, speed), speed))
+        if not math.isfinite(slow + fast):
+            raise RequestError(f"the model {model.NAME} tells no ICR at {speed:.2f} m/s; ask for a lower speed")
         estimate = self._observer.begin(_along(finite("pose", pose), ahead), slow, (fast - slow) / speed**2)
-        horizon = max(self.horizon, WAY * (self.gains.reach + abs(fast)) / speed)
-        step = max(self.period, horizon / STAGES)
+        lasting = max(self.horizon, WAY * (self.gains.reach + abs(fast)) / speed)
+        step = max(self.period, lasting / STAGES)
         straight, bent = rims_by_speed(self.wheels, ahead * speed, [0.0, BEND])
         state = PredictiveState(
             path,
             start.s,
             estimate,
-            speed_profile(path, self.wheels, self.limits),
+            profile,
             np.array([straight, (bent - straight) / BEND]),
             step,
             (0.0, 0.0),
-            np.zeros(math.ceil(horizon / step - 1e-9)),
+            np.zeros(math.ceil(lasting / step - 1e-9)),
             (0.0, 0.0),
             False,
             0,
@@ -221,14 +224,15 @@ class Predictive:
         now, turn, limits = state.estimate.now, state.estimate.turn, self.limits
         slips = now[[slip.SCALE, slip.LOSS, slip.ICR_X, slip.COMPLIANCE, slip.GIVE]]
         bounds = self.wheels.max_speed, limits.rim_acceleration, limits.acceleration, limits.omega_max
-        body = (state.stage, self.period, self.observer.lag, *slips, *turn[1:], *state.by_turn.ravel(), *bounds)
+        body = (state.stage, self.period, self.observer.lag, *slips, *turn[1:], *state.rims.ravel(), *bounds)
         return np.array(body)
 
     def _weights(self, state: PredictiveState) -> FloatArray:
         gains = self.gains
         # far off, where the offset counts as 2 knee |y_e|: a course of theta_a pays for itself over the horizon
         lasting = len(state.plan) * state.stage + END
-        knee = gains.reach**2 * math.sin(gains.theta_a) / (self.limits.speed * lasting)
+        speed = float(state.profile.speeds.max())
+        knee = gains.reach**2 * math.sin(gains.theta_a) / (speed * lasting)
         return np.array([gains.reach, gains.effort, knee, END])
 
 

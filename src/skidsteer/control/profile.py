@@ -75,7 +75,8 @@ def speed_profile(path: Path, wheels: Wheels, limits: Limits) -> SpeedProfile:
     s, ds = np.linspace(0.0, path.length, m + 1), path.length / m
     before, after = path.curvature(s - JUST), path.curvature(s + JUST)
     sharpest = np.where(np.abs(before) > np.abs(after), before, after)
-    by_speed = rims_by_speed(wheels, -limits.speed if path.reverse else limits.speed, sharpest)
+    speed = min(limits.speed, wheels.max_speed)
+    by_speed = rims_by_speed(wheels, -speed if path.reverse else speed, sharpest)
     slopes = _slopes(by_speed, ds, path.closed)
     rim_acceleration = RESERVE * limits.rim_acceleration
     with np.errstate(divide="ignore"):
