@@ -26,7 +26,7 @@ lint: .venv/ready   ## ruff and mypy
 bench: .venv/ready  ## measure speed and memory, writes docs/benchmarks.md
 	$(BIN)/python benchmarks/run.py
 
-studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md, docs/design.md, docs/terrains.md, docs/ground.md, docs/plans.md, docs/odometry.md, docs/online-filter.md
+studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md, docs/design.md, docs/terrains.md, docs/ground.md, docs/plans.md, docs/odometry.md, docs/online-filter.md, docs/path-following.md
 	$(BIN)/python -m pip install --quiet --editable '.[studies]'
 	$(BIN)/python benchmarks/models.py
 	$(BIN)/python benchmarks/design.py
@@ -35,6 +35,7 @@ studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md,
 	$(BIN)/python benchmarks/plans.py
 	$(BIN)/python benchmarks/odometry_study.py
 	$(BIN)/python benchmarks/online_filter.py
+	$(BIN)/python benchmarks/path_following.py
 	$(MAKE) reproduction
 
 reproduction: .venv/ready ## calculate the five papers again, writes docs/reproduction.md and its figures
