@@ -121,6 +121,7 @@
     return [ux - c * mx + s * my, uy - s * mx - c * my, yaw];
   }
 
+  const LONG = 2400; // poses in one stretch
   const state = { drive: 0, every: 0, share: 1 };
 
   const isWindows = (track) => new Set(track.piece).size > 20;
@@ -157,7 +158,6 @@
       for (let i = a; i <= b; i++) references.push(compose(from, at(track.poses.reference, i)));
       references.push(gap);
     }
-    line("reference", references, true, false);
     if (!windows) for (const name of models) {
       const points = [];
       for (const [a, b] of parts) {
@@ -167,13 +167,15 @@
       }
       line(name, points, true, false);
     }
+    line("reference", references, true, false);
     const [first, last] = parts[current], end = Math.min(now, last);
+    const tail = last - first > LONG ? Math.max(first, end - LONG / 4) : first; // of a long drive the last part stands out
     const heads = { x: [], y: [], angle: [], color: [] };
     const truth = compose(home, at(track.poses.reference, end));
     for (const name of [...models, "reference"]) {
       const move = name === "reference" ? [0, 0, 0] : placing(track, track.poses[name], first, last);
       const points = [];
-      for (let i = first; i <= end; i++) points.push(compose(home, compose(move, at(track.poses[name], i))));
+      for (let i = tail; i <= end; i++) points.push(compose(home, compose(move, at(track.poses[name], i))));
       line(name, points, false, true);
       const pose = points[points.length - 1];
       heads.x.push(pose[0]); heads.y.push(pose[1]); heads.color.push(`$${name}`); heads.angle.push(90 - (pose[2] * 180) / Math.PI);
