@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import degrees
 
 from skidsteer.calibration import Calibration
+from skidsteer.errors import RequestError
 from skidsteer.export.forced import Forced, force
 from skidsteer.export.yaml_text import comment
 from skidsteer.models import SymmetricIcr
@@ -17,12 +18,15 @@ def p3at(calibration: Calibration, forced: Forced | None = None) -> str:
     Exact are the distance with equal rims and the yaw with opposite ones; a difference between the sides is lost.
 
     Raises:
-        RequestError: the model does not move as a differential drive at all.
+        RequestError: the model does not move as a differential drive at all, or the robot is too large or small.
     """
     forced = forced or force(calibration)
     found, radius = forced.projection.multipliers, calibration.vehicle.wheel_radius
     left, right = found.left_wheel_radius_multiplier, found.right_wheel_radius_multiplier
-    integers = from_model(SymmetricIcr(0.5 * found.separation, 0.5 * (left + right)), radius)
+    try:
+        integers = from_model(SymmetricIcr(0.5 * found.separation, 0.5 * (left + right)), radius)
+    except (ValueError, OverflowError) as error:
+        raise RequestError(f"{calibration.vehicle.name} is no Pioneer P3-AT: {error}; take another format") from error
     drift = degrees((right - left) / found.separation)
     return (
         comment(

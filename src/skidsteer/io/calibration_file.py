@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from skidsteer.calibration import (
     Calibration,
@@ -35,36 +35,39 @@ from skidsteer.vehicle import Vehicle
 SCHEMA = 1
 LARGEST = 16 << 20  # [bytes]
 
+_Finite = Annotated[float, Field(gt=-1e12, lt=1e12)]  # neither NaN nor a number whose square is none; years in s fit
+_Positive = Annotated[float, Field(gt=0.0, lt=1e12)]
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
 class _Estimate(_Strict):
-    value: float
-    sigma: float
+    value: _Finite
+    sigma: _Finite
     unit: str
     determined: bool
 
 
 class _Model(_Strict):
     name: str
-    fixed: dict[str, float]
+    fixed: dict[str, _Finite]
     parameters: dict[str, _Estimate]
 
 
 class _Covariance(_Strict):
     names: list[str]
-    rows: list[list[float]]
+    rows: list[list[_Finite]]
 
 
 class _Noise(_Strict):
-    position: float
-    yaw: float
-    stamp: float
-    walk: float
-    turn: float
-    gyro: float
+    position: _Finite
+    yaw: _Finite
+    stamp: _Finite
+    walk: _Finite
+    turn: _Finite
+    gyro: _Finite
 
 
 class _Spread(_Strict):
@@ -84,8 +87,8 @@ class _HeldOut(_Strict):
 
 
 class _Regions(_Strict):
-    scale: float
-    dof: float
+    scale: _Positive
+    dof: _Positive
 
 
 class _MotionSigma(_Strict):
@@ -110,18 +113,18 @@ class _Observability(_Strict):
 
 
 class _Multipliers(_Strict):
-    left_wheel_radius_multiplier: float
-    right_wheel_radius_multiplier: float
-    wheel_separation_multiplier: float
-    track_width: float
+    left_wheel_radius_multiplier: _Finite
+    right_wheel_radius_multiplier: _Finite
+    wheel_separation_multiplier: _Finite
+    track_width: _Finite
 
 
 class _Projection(_Strict):
     multipliers: _Multipliers
-    x: float
-    y: float
-    rim_speed: float
-    yaw_rate: float
+    x: _Finite
+    y: _Finite
+    rim_speed: _Finite
+    yaw_rate: _Finite
 
 
 class _Controller(_Strict):
@@ -299,8 +302,6 @@ def _calibration(file: _Body) -> Calibration:
 
 def _controller(file: _Controller) -> Controller:
     known = file.projection
-    if not np.isfinite([known.x, known.y, known.rim_speed, known.yaw_rate]).all():
-        raise ValueError("controller.projection: must be finite")
     multipliers = Multipliers(**known.multipliers.model_dump())
     projection = Projection(multipliers, known.x, known.y, known.rim_speed, known.yaw_rate)
     return Controller(projection, None if file.held_out is None else _held_out(file.held_out))
@@ -321,6 +322,8 @@ def _refuse_unphysical(estimates: dict[str, Estimate], covariance: _Covariance) 
     for name, e in estimates.items():
         if not (np.isfinite(e.value) and np.isfinite(e.sigma) and e.sigma >= 0):
             raise ValueError(f"{name}: value and sigma must be finite and sigma not negative")
+        if name == "lag" and e.value < 0.0:
+            raise ValueError(f"lag: must not be negative, got {e.value} s")
     rows = covariance.rows
     if any(len(row) != len(rows) for row in rows):
         raise ValueError("covariance.rows: must be square")

@@ -1,0 +1,61 @@
+"""Calibration files with values that cannot be: refused in one line, whichever command reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from report_drives import lab
+from skidsteer import export
+from skidsteer.errors import DataError, RequestError
+from skidsteer.io.calibration_file import calibration_text, load_calibration
+
+Key = tuple[str, ...]
+
+
+@pytest.fixture(scope="module")
+def content() -> Any:
+    """What the file of a calibration holds."""
+    return yaml.safe_load(calibration_text(lab()[0]))
+
+
+def edited(content: Any, key: Key, value: object, path: Path) -> Path:
+    """A file in which the value of a key is another."""
+    copy = yaml.safe_load(yaml.safe_dump(content))
+    place = copy
+    for name in key[:-1]:
+        place = place[name]
+    assert key[-1] in place
+    place[key[-1]] = value
+    path.write_text(yaml.safe_dump(copy), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        (("model", "parameters", "icr_y_left", "value"), 1e308),
+        (("nuisance", "lag", "value"), -1.0),
+        (("noise", "walk"), float("inf")),
+        (("noise", "turn"), 1e308),
+        (("regions", "scale"), float("nan")),
+        (("regions", "dof"), 0.0),
+        (("controller", "projection", "x"), 1e308),
+        (("controller", "projection", "yaw_rate"), float("inf")),
+        (("controller", "projection", "multipliers", "track_width"), 1e308),
+    ],
+)
+def test_values_that_cannot_be_are_refused_by_name(content: Any, key: Key, value: object, tmp_path: Path) -> None:
+    file = edited(content, key, value, tmp_path / "calibration.yaml")
+    with pytest.raises(DataError, match=f"calibration.yaml: .*{key[-2] if key[-1] == 'value' else key[-1]}"):
+        load_calibration(file)
+
+
+@pytest.mark.parametrize("radius", [1e308, 1e-308, 100.0])
+def test_a_robot_that_is_no_pioneer_has_no_integers(content: Any, radius: float, tmp_path: Path) -> None:
+    known = load_calibration(edited(content, ("vehicle", "wheel_radius"), radius, tmp_path / "calibration.yaml"))
+    with pytest.raises(RequestError, match="is no Pioneer P3-AT"):
+        export.text(known, "p3at")
