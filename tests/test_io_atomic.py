@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from conftest import Call
 from skidsteer.errors import DataError
 from skidsteer.io import atomic
 
@@ -51,6 +52,48 @@ def test_names_what_is_wrong_with_a_path(tmp_path: Path, path: str, fault: str) 
     with pytest.raises(DataError, match=f"cannot write .*{fault}"):
         atomic.write_text(tmp_path / path, "text")
     assert os.listdir(tmp_path) == ["plain"]
+
+
+@pytest.mark.parametrize(
+    ("check", "path", "fault"),
+    [
+        (atomic.check_folder, "plain", "cannot be made a folder: .*plain is a file; choose another path"),
+        (atomic.check_folder, "plain/folder", "cannot be made a folder: .*plain is a file; choose another path"),
+        (atomic.check_file, "missing/file", "there is no folder .*missing; create it first"),
+        (atomic.check_file, ".", "it is a folder; name a file in it"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_it_is_made(
+    tmp_path: Path, check: Callable[[Path], None], path: str, fault: str
+) -> None:
+    (tmp_path / "plain").write_text("")
+    with pytest.raises(DataError, match=fault):
+        check(tmp_path / path)
+    assert os.listdir(tmp_path) == ["plain"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("calibrate", "no_drive", "--out", "plain"),
+        ("report", "no_calibration", "--out", "missing/report.html"),
+        ("follow", "--path", "no_path", "--out", "plain/x"),
+        ("design", "--area", "no_area", "--out", "plain"),
+    ],
+)
+def test_commands_that_take_long_look_at_their_place_first(tmp_path: Path, words: tuple[str, ...], call: Call) -> None:
+    (tmp_path / "plain").write_text("")
+    code, out, err = call(*words[:-1], tmp_path / words[-1])
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
+    assert "is a file; choose another path" in err or "create it first" in err
+    assert os.listdir(tmp_path) == ["plain"]
+
+
+def test_what_can_be_written_is_not_made_yet(tmp_path: Path) -> None:
+    atomic.check_folder(tmp_path / "a" / "b")
+    atomic.check_file(tmp_path / "file")
+    atomic.check_file("/dev/null")
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_failed_write_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from skidsteer.cli.words import DRIVE_HELP, Json, Profile, app, folder
 from skidsteer.sources import Source, on_drives
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command()
@@ -46,10 +43,12 @@ def design(
     from skidsteer.identify.design import design_drive, make_request
     from skidsteer.identify.excursion import footprint_radius
     from skidsteer.identify.manoeuvres import Limits
+    from skidsteer.io.atomic import check_folder
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.command_table import write_commands, write_path, write_picture
     from skidsteer.io.folder import vehicle as find_vehicle
 
+    check_folder(out)
     known = None if calibration is None else load_calibration(calibration)
     robot = None if vehicle is None else find_vehicle(vehicle)
     setup, request = make_request(

@@ -62,13 +62,14 @@ def follow(
     from skidsteer.follow.run import summarize
     from skidsteer.follow.sensing import Sensing
     from skidsteer.follow.task import Belief, Task, believed, recorded_drive, run_task
-    from skidsteer.io.atomic import write_text
+    from skidsteer.io.atomic import check_folder, write_text
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.folder import vehicle as find_vehicle
     from skidsteer.io.folder import write_folder
     from skidsteer.io.waypoints import read_path
     from skidsteer.terramechanics.terrain import parse_ground
 
+    check_folder(out)
     robot, ground = find_vehicle(vehicle), parse_ground(terrain)
     course = words.shape(path, size) if path in words.SHAPES else read_path(words.file(path), closed, topic)
     if calibration is None:

@@ -44,7 +44,10 @@ def calibrate(
     from skidsteer import console, documents
     from skidsteer.identify.calibrate import calibrate_with_folds, make_options
     from skidsteer.identify.terrain import calibrate_profiles
+    from skidsteer.io.atomic import check_folder
 
+    if out is not None:
+        check_folder(out)
     if bool(drives) == bool(profile):
         raise typer.BadParameter("give drives, or --profile GROUND=DRIVE for each of them")
     if drives and (circles := source.circles(drives, model, method)) is not None:

@@ -26,9 +26,11 @@ def report(
 ) -> None:
     """One page on a calibration and how it does on drives: its own, held out, or others."""
     from skidsteer.identify.circle_calibration import METHOD
+    from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.report import gather, write_report
 
+    check_file(out)
     known = load_calibration(calibration).profile(profile)
     words, length = drives or [], positive(window, "--window")
     circles = source.circles(words, known.model.NAME, METHOD) if words and known.method == METHOD else None

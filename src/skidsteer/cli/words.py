@@ -41,10 +41,12 @@ def folder(path: Path) -> Path:
     """The folder, made where it is not there.
 
     Raises:
-        DataError: it cannot be made.
+        DataError: it cannot be made, or not written to.
     """
     from skidsteer.errors import DataError
+    from skidsteer.io.atomic import check_folder
 
+    check_folder(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -69,6 +69,40 @@ def write_folder(path: str | os.PathLike[str], files: Mapping[str, str]) -> None
             shutil.rmtree(old, ignore_errors=True)
 
 
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Refuse a folder that can neither be written to nor made; for before a long calculation, as it makes nothing.
+
+    Raises:
+        DataError: a file is in its place, or permission is missing.
+    """
+    there = Path(os.path.realpath(path))
+    while not os.path.exists(there):
+        there = there.parent
+    if not there.is_dir():
+        raise DataError(f"{path}: cannot be made a folder: {there} is a file; choose another path")
+    _check_permission(path, there)
+
+
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Refuse a file that cannot be written, as ``check_folder`` does.
+
+    Raises:
+        DataError: its folder is missing, the path is a folder, or permission is missing.
+    """
+    parent = os.path.dirname(os.path.realpath(path))
+    if os.path.isdir(path):
+        raise DataError(f"cannot write {path}: it is a folder; name a file in it")
+    if not os.path.isdir(parent):
+        raise DataError(f"cannot write {path}: there is no folder {parent}; create it first")
+    if not _is_device(path):
+        _check_permission(path, parent)
+
+
+def _check_permission(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise DataError(f"cannot write {path}: permission denied in {folder}; choose a place you may write to")
+
+
 def _beside(target: Path) -> Path:
     return target.parent / f".skidsteer-{uuid4().hex}.tmp"
 
