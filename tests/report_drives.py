@@ -22,7 +22,7 @@ NAMES = (f"a{HURT}", 'b"\'>&<iframe src="https://example.org"></iframe><a href="
 @cache
 def lab() -> tuple[Calibration, Drive, Folds | None]:
     """A calibration from two minutes of the sample, held out."""
-    drive = sample("p3at-lab").between(0.0, 120.0)
+    drive = sample("p3at-mandow").between(0.0, 120.0)
     calibration, folds = calibrate_with_folds([drive], CalibrateOptions(model="icr"))
     return calibration, drive, folds
 
@@ -57,7 +57,7 @@ def long_drive(hours: float, at: float, jump: float) -> Drive:
         at: [s] time of the wrong pose.
         jump: [m] by which it is wrong.
     """
-    short = sample("p3at-lab")
+    short = sample("p3at-mandow")
     period = short.span[1] + 0.01
     repeats = int(np.ceil(hours * 3600.0 / period))
     t = np.concatenate([short.wheels.t + k * period for k in range(repeats)])

@@ -26,7 +26,7 @@ def on_nanoseconds(series: Series | None) -> Series | None:
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    minute = sample("p3at-lab").between(0.0, 60.0)
+    minute = sample("p3at-mandow").between(0.0, 60.0)
     return replace(minute, wheels=on_nanoseconds(minute.wheels), pose=on_nanoseconds(minute.pose))
 
 

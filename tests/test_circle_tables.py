@@ -98,7 +98,7 @@ def test_an_unknown_surface_names_those_there_are(table: Callable[[str], Path], 
 
 
 def test_a_drive_too_short_for_folds_is_calibrated_and_says_so(tmp_path: Path, call: Call) -> None:
-    write_folder(sample("p3at-lab").between(10.0, 22.0), tmp_path / "short")
+    write_folder(sample("p3at-mandow").between(10.0, 22.0), tmp_path / "short")
     code, out, _ = call("calibrate", tmp_path / "short", "--json")
     document = json.loads(out)
     assert code == 0
@@ -197,10 +197,10 @@ def test_without_speeds_the_scale_is_an_assumption() -> None:
 
 def test_circles_of_a_drive() -> None:
     """The sample's circles and S-curves tell the ICR distance of its truth."""
-    drive = sample("p3at-lab")
+    drive = sample("p3at-mandow")
     runs = circle_runs_in(drive)
     assert {run.direction for run in runs} == {"left", "right"}
-    assert {run.surface for run in runs} == {"p3at-lab"}
+    assert {run.surface for run in runs} == {"p3at-mandow"}
     found = calibrate_circles_in([drive]).calibration
     assert found.profiles == {}
     assert found.effective_track_width is not None
@@ -210,4 +210,4 @@ def test_circles_of_a_drive() -> None:
 
 def test_a_drive_of_turns_on_the_spot_has_no_circles() -> None:
     with pytest.raises(RequestError, match="turns on the spot only; record circles"):
-        circle_runs_in(sample("p3at-lab").between(9.5, 18.0))
+        circle_runs_in(sample("p3at-mandow").between(9.5, 18.0))

@@ -22,7 +22,7 @@ from skidsteer.samples import sample
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first minute of the sample as a drive folder."""
     path = tmp_path_factory.mktemp("drives") / "short"
-    write_folder(sample("p3at-lab").between(0.0, 60.0), path)
+    write_folder(sample("p3at-mandow").between(0.0, 60.0), path)
     return path
 
 
@@ -84,7 +84,7 @@ def test_evaluate_finds_the_delay_of_another_set_up(
 
     from skidsteer.drive import Series
 
-    drive = sample("p3at-lab").between(0.0, 60.0)
+    drive = sample("p3at-mandow").between(0.0, 60.0)
     assert drive.pose is not None
     late = replace(drive, pose=Series(drive.pose.t + 0.4, drive.pose.values, "pose"))
     write_folder(late, tmp_path / "late")
@@ -111,7 +111,7 @@ def test_tables_are_for_people(calibrated: tuple[Path, dict[str, object]], short
 
 def test_sample_lists_and_writes(tmp_path: Path, run: Run) -> None:
     assert "simulated" in run("sample").stdout
-    assert run("sample", "p3at-lab", "--out", tmp_path / "x").returncode == 0
+    assert run("sample", "p3at-mandow", "--out", tmp_path / "x").returncode == 0
     assert (tmp_path / "x" / "wheels.csv").exists()
     assert "there are: p3at-lab" in refused(run("sample", "nonsense"))
 
@@ -263,6 +263,6 @@ def test_every_real_drive_is_calibrated_and_explained(name: str, real: object, r
     ],
 )
 def test_options_of_bags_that_cannot_be(run: Run, words: list[str], said: str) -> None:
-    done = run("check", "sample:p3at-lab", *words)
+    done = run("check", "sample:p3at-mandow", *words)
     assert (done.returncode, done.stdout) == (1, "")
     assert said in done.stderr

@@ -103,7 +103,7 @@ def test_curvature_is_left_out_where_there_is_none(tmp_path: Path) -> None:
 
 
 def test_a_calibration_is_enough(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drive = sample("p3at-lab").between(0.0, 40.0)
+    drive = sample("p3at-mandow").between(0.0, 40.0)
     save_calibration(calibrate(drive, model="icr"), tmp_path / "calibration.yaml")
     words = ("--calibration", tmp_path / "calibration.yaml", "--area", "8x6", "--minutes", "1", "--out", tmp_path)
     assert here("design", *words, "--json") is None

@@ -47,7 +47,7 @@ def study() -> ModuleType:
 @pytest.fixture(scope="module")
 def drive() -> Drive:
     """A faultless drive of five minutes with a pose and a gyro of its own, 0.15 s early against it."""
-    lab = sample("p3at-lab")
+    lab = sample("p3at-mandow")
     assert lab.pose is not None
     rng = np.random.default_rng(0)
     yaw = np.cumsum(np.r_[0.0, wrap(np.diff(lab.pose.values[:, 2]))])
@@ -90,7 +90,7 @@ def the(kind: str, drive: Drive) -> Finding:
 
 def test_a_faultless_drive_has_no_findings(drive: Drive) -> None:
     assert examine(drive) == ()
-    assert examine(sample("p3at-lab")) == ()
+    assert examine(sample("p3at-mandow")) == ()
 
 
 @pytest.mark.parametrize(
@@ -374,7 +374,7 @@ def test_a_robot_at_rest_is_found(drive: Drive) -> None:
 
 def test_a_straight_drive_a_circle_and_a_short_drive_are_told_apart() -> None:
     lab = study()
-    base = sample("p3at-lab")
+    base = sample("p3at-mandow")
     assert the("straight_only", lab.less_turning(base, 0.0, 0.0)).severity == "error"
     assert "radius" in the("circle_only", lab.less_turning(base, 0.0, 0.8)).what
     assert "little_turning" in {f.kind for f in examine(base.between(0.0, 18.0))}
@@ -506,7 +506,7 @@ def test_events_tell_constant_drift_and_jump_apart() -> None:
         ),
     }
     for kind, signal in lab.items():
-        pair = type(gather(sample("p3at-lab")).by_reference)(signal, b, align(signal, b, hypotheses)[0], 0.0)
+        pair = type(gather(sample("p3at-mandow")).by_reference)(signal, b, align(signal, b, hypotheses)[0], 0.0)
         events = events_of(pair, a.t, b.t, float)
         assert [event.kind for event in events] == ([kind] if kind else [])
 

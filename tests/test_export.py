@@ -32,7 +32,7 @@ from skidsteer.vehicle import preset
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    return sample("p3at-lab").between(0.0, 90.0)
+    return sample("p3at-mandow").between(0.0, 90.0)
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ def test_a_scheduled_model_is_forced_over_the_motions_of_its_drives(drive: Drive
     calibration = made(model, preset("pioneer-p3at"))
     usual, driven = export.force(calibration), export.force(calibration, [drive])
     assert usual.motions == "all motions up to 0.345 m/s"
-    assert driven.motions == "the motions of p3at-lab"
+    assert driven.motions == "the motions of p3at-mandow"
     assert driven.projection != usual.projection
 
 
@@ -244,10 +244,10 @@ def test_command_prints_or_writes_the_same(file: Path, kind: str, call: Call) ->
 
 def test_command_measures_on_drives(file: Path, drive: Drive, call: Call) -> None:
     code, printed, _ = call(
-        "export", file, "sample:p3at-lab", "--to", "ros2-control", "--controller", "base", "--rate", 20
+        "export", file, "sample:p3at-mandow", "--to", "ros2-control", "--controller", "base", "--rate", 20
     )
     assert code == 0
-    assert "windows of 2 s of p3at-lab" in printed
+    assert "windows of 2 s of p3at-mandow" in printed
     assert parameters(printed, "base")["publish_rate"] == 20.0
 
 

@@ -32,7 +32,7 @@ from skidsteer.windows import Timing, Windows, judging_windows, steps
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    return sample("p3at-lab").between(0.0, 90.0)
+    return sample("p3at-mandow").between(0.0, 90.0)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ pytest.importorskip("matplotlib")
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    return sample("p3at-lab").between(0.0, 60.0)
+    return sample("p3at-mandow").between(0.0, 60.0)
 
 
 @pytest.fixture(scope="module")
@@ -141,8 +141,8 @@ def test_dead_reckoning_begins_anew(drive: Drive, known: tuple[Reckoner, ...]) -
 def test_a_part_is_shown_and_the_rest_calibrates(drive: Drive) -> None:
     shown, rest = parted([drive], *parse_part("20,40"))
     assert [d.span for d in shown] == [pytest.approx((20.0, 40.0), abs=0.02)]
-    assert shown[0].name == "p3at-lab, 20 to 40 s"  # so that it does not pass for what the calibration was made from
-    assert {d.name for d in rest} == {"p3at-lab"}
+    assert shown[0].name == "p3at-mandow, 20 to 40 s"  # so that it does not pass for what the calibration was made from
+    assert {d.name for d in rest} == {"p3at-mandow"}
     assert [round(end) for d in rest for end in d.span] == [0, 20, 40, 60]
     for text, message in (("20", "two times A,B"), ("a,b", "two times A,B")):
         with pytest.raises(RequestError, match=message):

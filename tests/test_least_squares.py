@@ -530,7 +530,7 @@ def test_a_short_drive_that_no_constant_describes_is_known_less_well() -> None:
 
 
 def test_stretches_are_of_ten_seconds_where_the_drive_has_enough_of_them() -> None:
-    long = sample("p3at-lab")
+    long = sample("p3at-mandow")
     assert fit(Icr.nominal(long.vehicle), [long], [increment_windows(long)]).block == 10.0
 
 

@@ -137,7 +137,7 @@ def test_a_perfect_model_scores_zero_and_a_known_error_is_found() -> None:
 
 
 def test_halves_meet_in_the_middle() -> None:
-    drive = sample("p3at-lab")
+    drive = sample("p3at-mandow")
     first, second = halves(drive)
     assert first.span[0] == drive.span[0]
     assert second.span[1] == drive.span[1]
@@ -162,7 +162,7 @@ def test_with_a_real_drive_the_table_has_two_sides(monkeypatch: pytest.MonkeyPat
     path = validation_drive(ASPHALT_20, 0)
     scores = {name: score(model, path, trained.timing) for name, model in trained.models.items()}
     before = Reproduction((), (mandow2007._path_figure("figure-6", "t", path, scores),))
-    both = mandow2007._beside(before, scores, sample("p3at-lab"))
+    both = mandow2007._beside(before, scores, sample("p3at-mandow"))
     assert [figure.name for figure in both.figures] == ["figure-6", "figure-6-real"]
     assert [curve.label for curve in both.figures[1].curves] == [*trained.models, "reference"]
     (table,) = both.tables

@@ -111,7 +111,9 @@ def test_a_simple_model_does_not_hide_what_is_open(model: type[Model]) -> None:
     assert verdict.advice
 
 
-@pytest.mark.parametrize("drive", [driven(LITTLE_OF_ALL), sample("p3at-lab").between(0.0, 120.0)], ids=["short", "lab"])
+@pytest.mark.parametrize(
+    "drive", [driven(LITTLE_OF_ALL), sample("p3at-mandow").between(0.0, 120.0)], ids=["short", "lab"]
+)
 def test_a_drive_of_everything_is_told_nothing(drive: Drive) -> None:
     _, verdict = judged(drive)
     assert verdict.sentences == ()
@@ -129,7 +131,7 @@ def test_real_drives_of_everything_are_told_nothing(name: str, real: object) -> 
 
 
 def test_positions_are_judged_by_the_symmetric_model() -> None:
-    drive = sample("p3at-lab").between(0.0, 100.0)
+    drive = sample("p3at-mandow").between(0.0, 100.0)
     assert drive.pose is not None
     positions = Series(drive.pose.t, drive.pose.values[:, :2], "position")
     verdict = observe_drive(replace(drive, pose=None, position=positions))
@@ -337,7 +339,7 @@ def test_a_standing_robot(tmp_path: Path, run: Run) -> None:
 
 
 def test_errors_are_cured_before_a_verdict() -> None:
-    drive = sample("p3at-lab").between(0.0, 100.0)
+    drive = sample("p3at-mandow").between(0.0, 100.0)
     swapped = replace(drive, wheels=Series(drive.wheels.t, drive.wheels.values[:, ::-1], "wheels"))
     assert judge_drive(swapped, examine(swapped)) == "cure the errors first"
 

@@ -50,12 +50,12 @@ def known() -> Calibration:
     """What a good calibration of the sample knows."""
     noise = Noise(0.01, float(np.radians(0.5)), 1e-3, *P3AT_MOTION_NOISE)
     truth = (P3AT_TRUTH, 0.003**2 * np.eye(5), noise, Timing(0.15, P3AT_LAG))
-    return calibration(*truth, sample("p3at-lab").vehicle)
+    return calibration(*truth, sample("p3at-mandow").vehicle)
 
 
 @pytest.fixture(scope="module")
 def short() -> Drive:
-    return sample("p3at-lab").between(0.0, 60.0)
+    return sample("p3at-mandow").between(0.0, 60.0)
 
 
 @pytest.fixture(scope="module")

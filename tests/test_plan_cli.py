@@ -105,7 +105,7 @@ def test_the_table_for_people(call: Call, tmp_path: Path) -> None:
         ((), "give either --calibration FILE or --circles TABLE"),
         (("--circles", "sample:rover-4wd1"), "add --profile with one of indoor, outdoor, football"),
         (("--circles", "sample:rover-4wd1", "--profile", "moon"), "no circle runs on surface 'moon'"),
-        (("--circles", "sample:p3at-lab"), "no table of circle runs"),
+        (("--circles", "sample:p3at-mandow"), "no table of circle runs"),
         (("--calibration", "nowhere.yaml"), "nowhere.yaml"),
         (("--circles", "sample:rover-4wd1-indoor", "--obstacle", "1.25"), "--obstacle '1.25' is not two lengths"),
         (("--circles", "sample:rover-4wd1-indoor", "--obstacle", "0x1"), "obstacle needs two positive lengths"),

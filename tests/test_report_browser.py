@@ -31,7 +31,7 @@ sync_api = importlib.import_module("playwright.sync_api")
 QUIET = ("quic", "gpu", "background-networking", "component-update", "sync")
 FLAGS = ["--no-sandbox", "--no-first-run", *(f"--disable-{what}" for what in QUIET)]
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 780}
-NAMES = ("warthog-asphalt", "husky-mocap", "warthog-sand-windows", "sample:p3at-lab")
+NAMES = ("warthog-asphalt", "husky-mocap", "warthog-sand-windows", "sample:p3at-mandow")
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_the_report_opens_from_disk_says_nothing_wrong_and_asks_for_nothing(
     assert drawn == charts.count()
 
 
-@pytest.mark.parametrize("name", ["sample:p3at-lab", "warthog-sand-windows"])
+@pytest.mark.parametrize("name", ["sample:p3at-mandow", "warthog-sand-windows"])
 def test_the_slider_moves_the_robot(name: str, report: Callable[[str], Path], visit: Callable[..., Page]) -> None:
     page = visit(report(name)).page
     before, clock = path_drawn(page), page.locator("#clock").text_content()
@@ -131,7 +131,7 @@ def test_the_slider_moves_the_robot(name: str, report: Callable[[str], Path], vi
 def test_beginning_anew_more_often_brings_dead_reckoning_nearer(
     report: Callable[[str], Path], visit: Callable[..., Page]
 ) -> None:
-    page = visit(report("sample:p3at-lab")).page
+    page = visit(report("sample:p3at-mandow")).page
     whole = path_drawn(page)
     off = {}
     for every in ("0", "2"):
@@ -147,13 +147,13 @@ def test_the_page_begins_anew_as_it_should(
     every: int, report: Callable[[str], Path], visit: Callable[..., Page]
 ) -> None:
     """What it says at the end of the drive, computed here: the last stretch, moved onto the reference at its start."""
-    text = report("sample:p3at-lab").read_text()
+    text = report("sample:p3at-mandow").read_text()
     told = json.loads(text.split('id="data">')[1].split("</script>")[0])["tracks"][0]
     t, poses = np.array(told["t"]), {name: np.array(values).T for name, values in told["poses"].items()}
     first = 0
     while (later := np.flatnonzero(t - t[first] >= every - 1e-6)).size and later[0] < len(t) - 1:
         first = int(later[0])
-    page = visit(report("sample:p3at-lab")).page
+    page = visit(report("sample:p3at-mandow")).page
     page.locator(f'input[name="restart"][value="{every}"]').check(force=True)
     for name in ("nominal", "calibrated"):
         moved = compose(poses["reference"][first], compose(invert(poses[name][first]), poses[name][-1]))
@@ -165,7 +165,7 @@ def test_the_page_begins_anew_as_it_should(
 
 
 def test_the_copy_button_copies_the_configuration(report: Callable[[str], Path], visit: Callable[..., Page]) -> None:
-    page = visit(report("sample:p3at-lab")).page
+    page = visit(report("sample:p3at-mandow")).page
     page.locator("#copy").click()
     sync_api.expect(page.locator("#copied")).to_have_text("Copied.")
     pasted = page.evaluate("navigator.clipboard.readText()")
@@ -176,7 +176,7 @@ def test_the_copy_button_copies_the_configuration(report: Callable[[str], Path],
 def test_light_and_dark_follow_the_system_and_the_button(
     report: Callable[[str], Path], visit: Callable[..., Page]
 ) -> None:
-    page = visit(report("sample:p3at-lab"), theme="dark").page
+    page = visit(report("sample:p3at-mandow"), theme="dark").page
     paper = "getComputedStyle(document.body).backgroundColor"
     line = "document.querySelector('#chart-track .js-line').style.stroke"
     dark, drawn = page.evaluate(paper), page.evaluate(line)
@@ -186,7 +186,7 @@ def test_light_and_dark_follow_the_system_and_the_button(
 
 
 def test_paper_is_white_and_narrower(report: Callable[[str], Path], visit: Callable[..., Page]) -> None:
-    page = visit(report("sample:p3at-lab"), theme="dark").page
+    page = visit(report("sample:p3at-mandow"), theme="dark").page
     widths = "Math.max(...[...document.querySelectorAll('svg.main-svg')].map(s => s.getBoundingClientRect().width))"
     screen = page.evaluate(widths)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
@@ -199,7 +199,7 @@ def test_paper_is_white_and_narrower(report: Callable[[str], Path], visit: Calla
     sync_api.expect(page.locator("#theme")).to_have_text("Light")
 
 
-@pytest.mark.parametrize("name", ["sample:p3at-lab", "warthog-sand-windows"])
+@pytest.mark.parametrize("name", ["sample:p3at-mandow", "warthog-sand-windows"])
 def test_a_phone_needs_no_scrolling_sideways(
     name: str, report: Callable[[str], Path], visit: Callable[..., Page]
 ) -> None:
@@ -209,7 +209,7 @@ def test_a_phone_needs_no_scrolling_sideways(
 
 
 @pytest.mark.parametrize(
-    ("name", "size", "theme"), [("warthog-asphalt", DESKTOP, "light"), ("sample:p3at-lab", PHONE, "dark")]
+    ("name", "size", "theme"), [("warthog-asphalt", DESKTOP, "light"), ("sample:p3at-mandow", PHONE, "dark")]
 )
 def test_everybody_can_use_it(
     name: str, size: dict[str, int], theme: str, report: Callable[[str], Path], visit: Callable[..., Page]

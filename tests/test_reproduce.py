@@ -149,26 +149,26 @@ def test_all_papers_at_once(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_pat
     code, out, err = call("reproduce", "all", "--json")
     assert code == 0, err
     assert list(json.loads(out)["papers"]) == list(few)
-    code, out, _ = call("reproduce", "all", "--drive", "sample:p3at-lab")
+    code, out, _ = call("reproduce", "all", "--drive", "sample:p3at-mandow")
     assert out.count("1 reproduced; 1 cannot be reproduced; 1 not possible without the original data") == 2
     assert [(name, drive and drive.name) for name, drive in asked] == [
         ("mandow2007", None),
         ("huskic2017", None),
-        ("mandow2007", "p3at-lab"),
-        ("huskic2017", "p3at-lab"),
+        ("mandow2007", "p3at-mandow"),
+        ("huskic2017", "p3at-mandow"),
     ]
 
 
 def test_the_real_drive_is_found_where_the_variable_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(papers.DATA, str(tmp_path))
     assert papers.real_drive(["mandow2007"]) is None
-    write_folder(sample("p3at-lab").between(0.0, 5.0), tmp_path / papers.REAL)
+    write_folder(sample("p3at-mandow").between(0.0, 5.0), tmp_path / papers.REAL)
     assert papers.real_drive(["wang2015"]) is None
     found = papers.real_drive(["wang2015", "mandow2007"])
     assert found is not None
     assert found.name == papers.REAL
     with pytest.raises(RequestError, match="--drive is of no use here: a drive is taken by mandow2007"):
-        papers.real_drive(["wang2015"], "sample:p3at-lab")
+        papers.real_drive(["wang2015"], "sample:p3at-mandow")
 
 
 def test_where_nothing_can_be_written_nothing_is_calculated(

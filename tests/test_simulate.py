@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.models import Differential, Icr
-from skidsteer.samples import P3AT_LAG, P3AT_SENSORS, P3AT_TRUTH, SAMPLES, p3at_lab, sample
+from skidsteer.samples import P3AT_LAG, P3AT_SENSORS, P3AT_TRUTH, SAMPLES, p3at_mandow, sample
 from skidsteer.se2 import FloatArray, between, wrap
 from skidsteer.simulate import Sensors, kinematic_drive, matching_noise, rims_from_manoeuvres
 from skidsteer.vehicle import preset
@@ -173,7 +173,7 @@ def test_matching_noise_is_that_of_the_simulation() -> None:
 
 
 def test_the_sample_is_the_same_every_time() -> None:
-    first, second = sample("p3at-lab"), sample("p3at-lab")
+    first, second = sample("p3at-mandow"), sample("p3at-mandow")
     assert first.pose is not None
     assert second.pose is not None
     for a, b in ((first.wheels, second.wheels), (first.pose, second.pose)):
@@ -182,16 +182,16 @@ def test_the_sample_is_the_same_every_time() -> None:
 
 
 def test_the_sample_is_labelled_simulated() -> None:
-    drive = sample("p3at-lab")
+    drive = sample("p3at-mandow")
     assert drive.source.startswith("simulated")
-    assert "simulated" in SAMPLES["p3at-lab"].text
+    assert "simulated" in SAMPLES["p3at-mandow"].text
     assert drive.vehicle == P3AT
-    assert drive.name == "p3at-lab"
+    assert drive.name == "p3at-mandow"
 
 
 def test_the_sample_was_driven_by_its_truth() -> None:
     """From the wheels, Mandow's Table I and the stated delay and lag, the reference follows to its stated noise."""
-    drive = p3at_lab()
+    drive = p3at_mandow()
     again = kinematic_drive("again", P3AT, P3AT_TRUTH, drive.wheels, NO_NOISE, P3AT_LAG)
     assert drive.pose is not None
     assert again.pose is not None
@@ -208,5 +208,5 @@ def test_the_sample_was_driven_by_its_truth() -> None:
 
 
 def test_an_unknown_sample_lists_those_there_are() -> None:
-    with pytest.raises(RequestError, match=r"^no sample 'p3at'; there are: .*p3at-lab"):
+    with pytest.raises(RequestError, match=r"^no sample 'p3at'; there are: .*p3at-mandow"):
         sample("p3at")

@@ -299,11 +299,11 @@ def test_calibrate_with_profiles_and_evaluate_one(
     ("words", "code", "message"),
     [
         (("terrains", "=x"), 1, "'=x': give GROUND=DRIVE, such as grass=drives/monday"),
-        (("terrains", "sample:p3at-lab"), 1, "need drives of two grounds or more, got p3at-lab"),
-        (("terrains", "a=sample:p3at-lab", "b=sample:rover-4wd1"), 1, "the drives are of different robots"),
-        (("terrains", "a=sample:p3at-lab", "b=sample:p3at-lab", "--model", "magic"), 1, "no model 'magic'"),
-        (("calibrate", "--profile", "a=sample:p3at-lab"), 1, "need drives of two grounds or more, got a"),
-        (("calibrate", "sample:p3at-lab", "--profile", "a=sample:p3at-lab"), 2, "give drives, or --profile"),
+        (("terrains", "sample:p3at-mandow"), 1, "need drives of two grounds or more, got p3at-mandow"),
+        (("terrains", "a=sample:p3at-mandow", "b=sample:rover-4wd1"), 1, "the drives are of different robots"),
+        (("terrains", "a=sample:p3at-mandow", "b=sample:p3at-mandow", "--model", "magic"), 1, "no model 'magic'"),
+        (("calibrate", "--profile", "a=sample:p3at-mandow"), 1, "need drives of two grounds or more, got a"),
+        (("calibrate", "sample:p3at-mandow", "--profile", "a=sample:p3at-mandow"), 2, "give drives, or --profile"),
         (("calibrate",), 2, "give drives, or --profile"),
     ],
 )

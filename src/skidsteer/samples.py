@@ -1,7 +1,7 @@
 """Drives that come with the package, so that everything can be tried without a robot: ``sample:NAME``.
 
-Those of the Rover 4WD1 hold the printed measurements of a real robot, the others are simulated: ``p3at-lab`` by a model
-that is known exactly, the rest by the forces of the ground, which no model of ours knows.
+Those of the Rover 4WD1 hold the printed measurements of a real robot, the others are simulated: ``p3at-mandow`` by a
+model that is known exactly, the rest by the forces of the ground, which no model of ours knows.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ P3AT_SENSORS = Sensors(
 P3AT_MOTION_NOISE = (0.004, 0.008)  # [m/sqrt(m)], [rad/sqrt(m)]
 
 
-def p3at_lab(seed: int = 2007) -> Drive:
+def p3at_mandow(seed: int = 2007) -> Drive:
     """A simulated Pioneer P3-AT after Mandow 2007, IV-C: encoders at 100 Hz, a reference at 5 Hz and 1 cm.
 
     The truth is ``P3AT_TRUTH`` with a lag of ``P3AT_LAG``; the reference is 0.15 s late and, unlike Mandow's single
@@ -43,7 +43,7 @@ def p3at_lab(seed: int = 2007) -> Drive:
     """
     vehicle = preset("pioneer-p3at")
     rims = rims_from_manoeuvres(_representative_paths(), Differential(vehicle.track_width))
-    return kinematic_drive("p3at-lab", vehicle, P3AT_TRUTH, rims, P3AT_SENSORS, P3AT_LAG, P3AT_MOTION_NOISE, seed)
+    return kinematic_drive("p3at-mandow", vehicle, P3AT_TRUTH, rims, P3AT_SENSORS, P3AT_LAG, P3AT_MOTION_NOISE, seed)
 
 
 def _representative_paths() -> np.ndarray:
@@ -187,10 +187,16 @@ class Sample:
 
 
 SAMPLES: dict[str, Sample] = {
-    "p3at-lab": Sample(p3at_lab, "simulated Pioneer P3-AT on asphalt, known truth (Mandow 2007, Table I), 5 minutes"),
+    "p3at-lab": Sample(
+        partial(on_ground, "pioneer-p3at", "lab", (0.2, 0.3, 0.4), (0.3, 0.6)),
+        "simulated Pioneer P3-AT by the forces of a laboratory's floor (Wang 2015), up to 0.4 m/s, 2 minutes",
+    ),
     "p3at-tiles": Sample(
         partial(on_ground, "pioneer-p3at", "tiles", (0.2, 0.3, 0.4), (0.3, 0.6)),
-        "simulated Pioneer P3-AT by the forces of a tiled floor (Wang 2015), up to 0.4 m/s, 2 minutes",
+        "the same commands on a tiled floor",
+    ),
+    "p3at-mandow": Sample(
+        p3at_mandow, "simulated Pioneer P3-AT by a model with known truth (Mandow 2007, Table I, asphalt), 5 minutes"
     ),
     "warthog-grass": Sample(
         partial(on_ground, "warthog", "grass", (0.5, 1.0, 2.0), (0.3, 0.6)),
