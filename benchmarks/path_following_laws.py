@@ -27,6 +27,7 @@ from skidsteer.control.pure_pursuit import PRESETS
 from skidsteer.control.soetanto import GAINS as SOETANTO
 from skidsteer.models import Icr, Model, ScheduledIcr
 
+STEEPEST = 1.2  # [rad] of theta_a, whatever the search asks for
 TYPICAL = 0.5  # [1/m] curvature at which a law with one icr_x is told it
 
 
@@ -68,7 +69,7 @@ class Law:
 
 def _huskic(feed_forward: bool, measured: bool = False) -> Build:
     def build(g: Mapping[str, float], speed: float, known: Known) -> Controller:
-        gains = HuskicGains(g["k1"], g["k2"], g["lam"], min(g["theta_a"], 1.2))
+        gains = HuskicGains(g["k1"], g["k2"], g["lam"], min(g["theta_a"], STEEPEST))
         drive = SaturationSpeed(Wheels(known.model, known.max_speed), speed)
         return Huskic(gains, drive, known.icr_x(speed), feed_forward, measured, g["approach_length"])
 
@@ -76,7 +77,7 @@ def _huskic(feed_forward: bool, measured: bool = False) -> Build:
 
 
 def _soetanto(g: Mapping[str, float], speed: float, known: Known) -> Controller:
-    gains = SoetantoGains(g["k1"], g["k2"], g["gamma"], g.get("b", 0.0), min(g["theta_a"], 1.2))
+    gains = SoetantoGains(g["k1"], g["k2"], g["gamma"], g.get("b", 0.0), min(g["theta_a"], STEEPEST))
     return Soetanto(gains, speed, approach_length=g["approach_length"])
 
 
@@ -99,7 +100,7 @@ def _pursuit(g: Mapping[str, float], speed: float, known: Known) -> Controller:
 
 
 def _ours(g: Mapping[str, float], speed: float, known: Known) -> Controller:
-    gains = PredictiveGains(g["reach"], g["effort"], g["agility"], min(g["theta_a"], 1.2))
+    gains = PredictiveGains(g["reach"], g["effort"], g["agility"], min(g["theta_a"], STEEPEST))
     limits = Limits(speed, rim_acceleration=known.acceleration)
     observer = Observer(known.lag, known.delay)
     return Predictive(gains, Wheels(known.constant, known.max_speed), limits, observer, scheduled=known.model)
