@@ -157,7 +157,10 @@ def test_the_same_seed_drives_the_same_way(call: Call, tmp_path: Path) -> None:
         ("--path line --start 0,9", "the start (0, 9) is 9.00 m off the path, more than 3 m"),
         ("--path line --jump 1", "jump '1': write METRES@SECONDS or METRES@PERCENT%"),
         ("--path line --lost 3", "times without poses '3': write FROM-TO in s, such as 8-9,20-20.5"),
-        ("--path line --rate 0", "the rate of the controller must be above 0 Hz, got 0.0"),
+        ("--path line --rate 0", "the rate of the controller must be above 0 Hz and at most 1000, got 0.0"),
+        ("--path line --rate 1e6", "must be above 0 Hz and at most 1000, got 1000000.0"),
+        ("--path line --size 1e9", "a path of 1e+09 m is too long, at most 100000 m"),
+        ("--path lemniscate --size 5 --laps 1e6", "m at 1 m/s take longer than an hour; give a shorter path"),
         ("--path line --laps 0", "laps must be above 0, got 0.0"),
         ("--path line --acceleration 0", "the acceleration of the wheels must be above 0 m/s^2, got 0.0"),
         ("--path line --jump 9@0", "the drive ended after 0.00 s: lost the path, it is 9.00 m off at 0.00 s"),
@@ -379,3 +382,18 @@ def test_the_page_of_a_long_run_stays_small() -> None:
     assert len(page("long", (), long, SUMMIT)) < 3e6
     assert data["near"] is True
     assert data_of(page("short", (), run, SUMMIT))["near"] is False
+
+
+def test_a_seed_is_not_negative(call: Call, tmp_path: Path) -> None:
+    commands = ("follow --path line", "design --area 8x8", "simulate --vehicle jackal --manoeuvre 3,1,0", "calibrate x")
+    for words in commands:
+        code, out, err = call(*words.split(), "--out", tmp_path / "new", "--seed", -1)
+        assert (code, out) == (2, "")
+        assert "'--seed'" in err
+
+
+def test_waypoints_in_another_unit_than_metres_are_refused(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text("x,y\n0,0\n1e9,0\n2e9,5\n", encoding="utf-8")
+    code, out, err = call("follow", "--path", tmp_path / "way.csv", "--out", tmp_path / "new")
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
+    assert "is too long, at most 100000 m" in err

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 STEP = 0.02  # [m] between knots, at most
+LONGEST = 1e5  # [m] of a path, or of a leg between waypoints
 WINDOW = 2.0  # [m] of path, to either side of where it was, in which the robot is looked for
 KINK = 1e-3  # [rad] that headings may differ by where pieces meet
 GAP = 1e-4  # [m] that they may lie apart there
@@ -215,7 +216,7 @@ def clothoid(length: float, first: float, last: float, start: ArrayLike = ORIGIN
     """A curve whose curvature goes from the first to the last [1/m] in proportion to the arc length (Euler's spiral).
 
     Raises:
-        RequestError: a length that is not positive, a curvature that is not finite.
+        RequestError: a length that is not positive or far too long, a curvature that is not finite.
     """
     length = _positive("length", length)
     if not np.isfinite([first, last]).all():
@@ -312,6 +313,7 @@ def _waypoints(waypoints: ArrayLike, closed: bool) -> FloatArray:
 
 def _by_arc_length(curve: CubicSpline, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Arc lengths (m,) not more than ``STEP`` apart, and the parameters (m,) of the curve there."""
+    _count(float(knots[-1] - knots[0]))
     fine = [np.linspace(a, b, _count(b - a) + 1)[:-1] for a, b in itertools.pairwise(knots)]
     grid = np.concatenate([*fine, knots[-1:]])
 
@@ -371,7 +373,13 @@ def as_they_stand(*paths: Path) -> Path:
 
 
 def _count(length: float) -> int:
-    """Pieces not longer than ``STEP``."""
+    """Pieces not longer than ``STEP``.
+
+    Raises:
+        RequestError: too many of them.
+    """
+    if length > LONGEST:
+        raise RequestError(f"a path of {length:.3g} m is too long, at most {LONGEST:g} m; lengths are in m")
     return max(1, int(np.ceil(length / STEP - 1e-9)))
 
 

@@ -35,7 +35,7 @@ def design(
     max_acceleration: Annotated[float, typer.Option(metavar="M/S2", help="of the wheels")] = 1.5,
     max_lateral: Annotated[float, typer.Option(metavar="M/S2", help="speed times yaw rate")] = 0.5,
     margin: Annotated[float, typer.Option(metavar="M", help="to keep from the edge of the area")] = 0.25,
-    seed: Annotated[int, typer.Option(help="of the robots and drivers imagined")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="of the robots and drivers imagined")] = 0,
     json: Json = False,
 ) -> None:
     """The drive that determines a model best, as a table of commands, and the sigmas that it will give."""
@@ -138,7 +138,7 @@ def simulate(
     manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA:...", help="instead: one after the other")] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "terramechanic",
     terrain: Annotated[str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")] = "lab",
-    seed: Annotated[int, typer.Option(help="of the sensors' noise")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="of the sensors' noise")] = 0,
 ) -> None:
     """Drive a simulated robot over a ground and write what its sensors record as a drive folder."""
     from skidsteer import plants

@@ -51,7 +51,7 @@ def follow(
     lost: Annotated[str, typer.Option(metavar="FROM-TO,...", help="[s] without poses")] = "",
     acceleration: Annotated[float, typer.Option(metavar="M/S2", help="limit of the rims")] = math.inf,
     off: Annotated[float, typer.Option(metavar="M", help="from the path, where driving ends")] = 3.0,
-    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="of the noise")] = 0,
     json: Json = False,
 ) -> None:
     """Let a controller drive a simulated robot along a path, and show how well."""

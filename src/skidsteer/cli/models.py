@@ -33,7 +33,7 @@ def calibrate(
     time_offset: Offset = None,
     lag: Lag = None,
     mount: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]|free", help="of the reference [m, rad]")] = None,
-    seed: Annotated[int, typer.Option(help="of the genetic search")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="of the genetic search")] = 0,
     fix: Annotated[bool, typer.Option("--fix", help="apply the doctor's safe cures first")] = False,
     profile: Annotated[
         list[str] | None, typer.Option(metavar="GROUND=DRIVE", help="a profile for each ground, in place of DRIVE...")

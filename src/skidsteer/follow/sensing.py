@@ -56,8 +56,8 @@ class Sensing:
     lost: tuple[tuple[float, float], ...] = ()  # [s] from and to: no pose comes
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.rate < math.inf:
-            raise RequestError(f"the rate of the controller must be above 0 Hz, got {self.rate}")
+        if not 0.0 < self.rate <= 1000.0:
+            raise RequestError(f"the rate of the controller must be above 0 Hz and at most 1000, got {self.rate}")
         for name in ("delay", "position_sigma", "yaw_sigma", "wheel_sigma", "gyro_sigma"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise RequestError(f"{name} must be at least 0, got {getattr(self, name)}")

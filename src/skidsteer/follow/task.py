@@ -25,6 +25,7 @@ from skidsteer.vehicle import Vehicle
 SLOWEST = 0.25  # of the speed asked for, on average: slower than that the time is up
 SPARE = 30.0  # [s] more
 SHORTEST = 0.5  # [s] that can be recorded
+LONGEST = 3600.0  # [s] of a drive at the speed asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Task:
     """What is to be driven.
 
     Raises:
-        RequestError: a vehicle whose wheel speed is not known.
+        RequestError: a vehicle whose wheel speed is not known, or a drive of more than an hour.
     """
 
     path: Path
@@ -62,6 +63,16 @@ class Task:
     def __post_init__(self) -> None:
         if self.vehicle.max_wheel_speed is None:
             raise RequestError(f"vehicle {self.vehicle.name} has no max_wheel_speed; give it in a vehicle file")
+        if self.way > LONGEST * self.speed > 0.0:
+            raise RequestError(
+                f"{self.way:.3g} m at {self.speed:g} m/s take longer than an hour; give a shorter path, fewer --laps or"
+                " a higher --speed"
+            )
+
+    @property
+    def way(self) -> float:
+        """Length of all laps [m]."""
+        return self.path.length * (self.laps if self.path.closed else 1.0)
 
     @property
     def wheels(self) -> Wheels:
@@ -71,8 +82,7 @@ class Task:
     @property
     def ends(self) -> Ends:
         """When driving ends."""
-        way = self.path.length * (self.laps if self.path.closed else 1.0)
-        return Ends(self.laps, way / (SLOWEST * self.speed) + SPARE, self.off)
+        return Ends(self.laps, self.way / (SLOWEST * self.speed) + SPARE, self.off)
 
 
 def run_task(task: Task) -> Run:
