@@ -161,6 +161,7 @@ def test_the_same_seed_drives_the_same_way(call: Call, tmp_path: Path) -> None:
         ("--path line --rate 1e6", "must be above 0 Hz and at most 1000, got 1000000.0"),
         ("--path line --size 1e9", "a path of 1e+09 m is too long, at most 100000 m"),
         ("--path lemniscate --size 5 --laps 1e6", "m at 1 m/s take longer than an hour; give a shorter path"),
+        ("--path line --laps 2", "2 laps of a path that is open; waypoints are closed by --closed"),
         ("--path line --laps 0", "laps must be above 0, got 0.0"),
         ("--path line --acceleration 0", "the acceleration of the wheels must be above 0 m/s^2, got 0.0"),
         ("--path line --jump 9@0", "the drive ended after 0.00 s: lost the path, it is 9.00 m off at 0.00 s"),

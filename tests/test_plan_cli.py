@@ -95,7 +95,7 @@ def test_the_table_for_people(call: Call, tmp_path: Path) -> None:
         "DA",
     ]
     assert "k left" in text
-    assert "3 laps" in text
+    assert "on its left, from rest at A, on arcs of 0.920 m, 3 laps:" in " ".join(text.split())
     assert "Whole k alone" in text
 
 
@@ -107,6 +107,11 @@ def test_the_table_for_people(call: Call, tmp_path: Path) -> None:
         (("--circles", "sample:rover-4wd1", "--profile", "moon"), "no circle runs on surface 'moon'"),
         (("--circles", "sample:p3at-mandow"), "no table of circle runs"),
         (("--calibration", "nowhere.yaml"), "nowhere.yaml"),
+        (
+            ("--calibration", "x.yaml", "--vehicle", "jackal"),
+            "--vehicle is of circle runs; a calibration knows its own",
+        ),
+        (("--circles", "sample:rover-4wd1-indoor", "--obstacle", "999x999"), "change --radius or the speeds"),
         (("--circles", "sample:rover-4wd1-indoor", "--obstacle", "1.25"), "--obstacle '1.25' is not two lengths"),
         (("--circles", "sample:rover-4wd1-indoor", "--obstacle", "0x1"), "obstacle needs two positive lengths"),
         (("--circles", "sample:rover-4wd1-indoor", "--footprint", "axb"), "--footprint 'axb' is not two lengths"),

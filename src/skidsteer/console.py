@@ -379,10 +379,11 @@ def _told(design: Design) -> Table:
 def show_plan(plan: Plan) -> None:
     """Stretches of a lap with their rim speeds, how far the robot keeps off the obstacle, and where it ends."""
     coded, obstacle, laps = plan.driver.encoding is not None, plan.obstacle, plan.request.laps
-    OUT.print(f"[bold]{escape(plan.driver.vehicle.name)}[/bold] by {plan.driver.model.NAME}: round")
-    OUT.print(f"{obstacle.length:g} x {obstacle.width:g} m on its {plan.request.side}, from rest at A, on")
     again = f", {laps} laps" if laps > 1 else ""
-    OUT.print(f"arcs of {plan.radius:.3f} m{again}:")
+    OUT.print(
+        f"[bold]{escape(plan.driver.vehicle.name)}[/bold] by {plan.driver.model.NAME}: round {obstacle.length:g} x"
+        f" {obstacle.width:g} m on its {plan.request.side}, from rest at A, on arcs of {plan.radius:.3f} m{again}:"
+    )
     titles = ["stretch", "start s", "lasts s", "way m", "radius m", "left m/s", "right m/s"]
     table = Table(*titles, *(["k left", "k right"] if coded else []), box=None, pad_edge=False)
     for t, s in list(zip(plan.starts.tolist(), plan.stretches, strict=True))[:4]:

@@ -41,7 +41,7 @@ class Task:
     """What is to be driven.
 
     Raises:
-        RequestError: a vehicle whose wheel speed is not known, or a drive of more than an hour.
+        RequestError: a vehicle whose wheel speed is not known, laps of an open path, or a drive of more than an hour.
     """
 
     path: Path
@@ -63,6 +63,8 @@ class Task:
     def __post_init__(self) -> None:
         if self.vehicle.max_wheel_speed is None:
             raise RequestError(f"vehicle {self.vehicle.name} has no max_wheel_speed; give it in a vehicle file")
+        if self.laps > 1.0 and not self.path.closed:
+            raise RequestError(f"{self.laps:g} laps of a path that is open; waypoints are closed by --closed")
         if self.way > LONGEST * self.speed > 0.0:
             raise RequestError(
                 f"{self.way:.3g} m at {self.speed:g} m/s take longer than an hour; give a shorter path, fewer --laps or"

@@ -80,7 +80,10 @@ def stretch(
     rims = asked if encoding is None or k is None else encoding.speeds(k)
     twist = model.twist(rims[0], rims[1])
     if not (np.isfinite(twist).all() and (twist[2] * omega > 0.0 or (omega == 0.0 and twist[0] > 0.0))):
-        raise RequestError(f"rim speeds of {rims[0]:.3f} and {rims[1]:.3f} m/s do not drive {what} by {model.NAME}")
+        raise RequestError(
+            f"rim speeds of {rims[0]:.3f} and {rims[1]:.3f} m/s do not drive {what} by {model.NAME}; change --radius or"
+            " the speeds"
+        )
     return Stretch(name, v, omega, amount, asked, rims, k, twist)
 
 

@@ -40,11 +40,14 @@ def driver_of(
 
     Raises:
         DataError: a file that cannot be used.
-        RequestError: both or none of them, a table that is none, or no such profile or surface.
+        RequestError: both or none of them, a vehicle beside a calibration, a table that is none, or no such profile or
+            surface.
     """
     if (calibration is None) == (circles is None):
         raise RequestError("give either --calibration FILE or --circles TABLE")
     if calibration is not None:
+        if vehicle is not None:
+            raise RequestError("--vehicle is of circle runs; a calibration knows its own: leave it out")
         return Driver.of(load_calibration(calibration).profile(profile))
     table = circle_table([circles or ""], None if vehicle is None else find_vehicle(vehicle))
     if table is None:
