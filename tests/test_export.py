@@ -19,11 +19,12 @@ from conftest import Call
 from exports import HUSKY, ICR, made, parameters
 from ros_controller import CONTROLLER_PARAMETERS, EKF_PARAMETERS
 from skidsteer import export
-from skidsteer.calibration import Calibration
+from skidsteer.calibration import Calibration, HeldOut
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.export.covariances import UNMEASURED, covariances
 from skidsteer.io.calibration_file import load_calibration, save_calibration
+from skidsteer.metrics import Spread
 from skidsteer.models import MODELS, Icr, Linear, ScheduledIcr, SymmetricIcr
 from skidsteer.prediction import Regions
 from skidsteer.samples import sample
@@ -99,6 +100,19 @@ def test_twist_covariance_is_that_of_the_random_walk_at_any_rate() -> None:
         steps_ = int(10.0 * rate)
         ends = (rng.normal(0.0, math.sqrt(variance), (4000, steps_)) / rate).sum(axis=1)
         assert np.var(ends) == pytest.approx(0.05**2 * where.rim_speed * 10.0, rel=0.08)
+
+
+def test_a_gyro_alone_does_not_tell_that_the_wheels_turn_without_error() -> None:
+    """0.003^2 rad^2 a second that wheels and gyro differ by: at 50 Hz, and after 10 m at 0.5 m/s, beside the walk."""
+    nothing, some = Spread(math.nan, math.nan, math.nan), Spread(1.0, 1.4, 3.0)
+    alone = replace(made(), held_out={"icr": HeldOut(100, nothing, nothing, some)})
+    where = replace(export.force(made()).projection, rim_speed=0.5)
+    plain, told = (covariances(c, where, 50.0, of_icr=True) for c in (made(), alone))
+    assert told.twist[5] - plain.twist[5] == pytest.approx(0.003**2 * 50.0)
+    assert told.pose[5] - plain.pose[5] == pytest.approx(0.003**2 * 20.0)
+    assert (told.twist[:5], told.pose[:5]) == (plain.twist[:5], plain.pose[:5])
+    assert "no other reference" in " ".join(export.robot_localization(alone).split())
+    assert "whether wheels or gyro erred" in " ".join(export.ros2_control(alone).replace("#", "").split())
 
 
 def test_covariances_are_raised_to_what_held_out_windows_show() -> None:

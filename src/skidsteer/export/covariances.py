@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,13 +26,20 @@ class Covariances:
     raised: float  # factor by which the noise was raised to what held-out windows show
 
 
+def gyro_alone(calibration: Calibration) -> bool:
+    """Whether a gyro was all that the drives were judged by: it does not tell whether it or the wheels erred."""
+    judged = calibration.held_out.get(calibration.model.NAME)
+    return judged is not None and not isfinite(judged.translation_m.rms)
+
+
 def covariances(calibration: Calibration, projection: Projection, rate: float, of_icr: bool) -> Covariances:
     """Constant covariances for messages that know no others.
 
     The error of the motion is a random walk: its variance grows by walk^2 for each metre that the rims roll. A filter
     that integrates velocities whose errors are independent from message to message, with variance R at ``rate`` a
     second, adds up R / rate a second: so R is walk^2 times the rim speed times ``rate``. What the multipliers leave out
-    at the usual yaw rate is added, though it is no noise.
+    at the usual yaw rate is added, though it is no noise. Where there was a gyro alone, all that the two turned
+    differently is taken for an error of the wheels: a filter that fuses both must not trust them more than the gyro.
 
     Args:
         calibration: its noise, raised so that regions of 68 % hold that share of its held-out windows.
@@ -43,9 +51,10 @@ def covariances(calibration: Calibration, projection: Projection, rate: float, o
     raised = 1.0 if regions is None else regions.limit(0.68) / float(chi2.ppf(0.68, 3))
     growth = raised * np.array([noise.walk**2, noise.walk**2, noise.turn**2])
     lost = np.zeros(3) if of_icr else np.array([projection.y, projection.x, 0.0]) * projection.yaw_rate
-    twist = growth * projection.rim_speed * rate + lost**2
+    unknown = np.array([0.0, 0.0, noise.gyro**2 if gyro_alone(calibration) else 0.0])  # [rad^2] a second
+    twist = (growth * projection.rim_speed + unknown) * rate + lost**2
     ahead = motion_covariance(np.array([[DISTANCE, 0.0, 0.0]]), np.array([DISTANCE]), noise)[0]
-    x, y, yaw = raised * np.diag(ahead)
+    x, y, yaw = raised * np.diag(ahead) + unknown * DISTANCE / projection.rim_speed
     return Covariances(_six(np.array([max(x, y), max(x, y), yaw])), _six(twist), raised)
 
 

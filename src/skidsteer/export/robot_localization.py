@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from skidsteer.calibration import Calibration
+from skidsteer.export.covariances import gyro_alone
 from skidsteer.export.settings import Settings
 from skidsteer.export.yaml_text import comment, mapping
 
@@ -53,7 +54,13 @@ def _comments(calibration: Calibration, settings: Settings, has_gyro: bool) -> s
             " transform between the two, and so regains the sideways velocity of turns."
         )
     told.append("Set enable_odom_tf: false in the controller: the filter publishes the transform odom to base_link.")
-    if has_gyro:
+    if has_gyro and gyro_alone(calibration):
+        told.append(
+            f"The drives had a gyro and no other reference: what it turned otherwise than the wheels,"
+            f" {calibration.noise.gyro:.2g} rad after a second, is in the covariance of the odometry. Take that of"
+            " angular_velocity z from the gyro's driver or data sheet."
+        )
+    elif has_gyro:
         told.append(
             f"The drives had a gyro: its turn erred by {calibration.noise.gyro:.2g} rad after a second. Where its"
             " driver gives no covariance, let that of angular_velocity z be the square of this times the IMU's rate."

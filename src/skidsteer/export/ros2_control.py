@@ -7,7 +7,7 @@ from math import hypot, isfinite
 from shlex import quote
 
 from skidsteer.calibration import Calibration, HeldOut
-from skidsteer.export.covariances import DISTANCE, covariances
+from skidsteer.export.covariances import DISTANCE, covariances, gyro_alone
 from skidsteer.export.forced import Forced, Measured, force
 from skidsteer.export.settings import Settings
 from skidsteer.export.yaml_text import comment, mapping, rounded
@@ -173,9 +173,11 @@ def _noise(calibration: Calibration, found: Projection, settings: Settings) -> s
     known = covariances(calibration, found, settings.rate, settings.icr_frame is not None)
     of_arm = settings.icr_frame is None and hypot(found.x, found.y) >= LEAST_ARM
     lost = f" It holds what is lost at {found.yaw_rate:.2g} rad/s, too." if of_arm else ""
-    judged = calibration.held_out.get(calibration.model.NAME)
-    if judged is not None and not isfinite(judged.translation_m.rms):
-        lost += " No reference told positions: that part is an assumption."
+    if gyro_alone(calibration):
+        lost += (
+            " No reference told positions: that part is an assumption. Nor whether wheels or gyro erred in yaw: the"
+            f" covariances of yaw take all of it, {noise.gyro:.3g} rad after a second, for an error of the wheels."
+        )
     raised = f", raised {known.raised:.2g}-fold to what held-out windows show" if calibration.regions else ""
     return comment(
         f"Covariances: the motion's error grows by {noise.walk:.3g} m and {noise.turn:.3g} rad in a metre rolled, with"

@@ -123,7 +123,7 @@ class _Projection(_Strict):
     multipliers: _Multipliers
     x: _Finite
     y: _Finite
-    rim_speed: _Finite
+    rim_speed: _Positive
     yaw_rate: _Finite
 
 
