@@ -77,6 +77,7 @@ def test_what_cannot_be_written_is_refused_before_it_is_made(
     [
         ("calibrate", "no_drive", "--out", "plain"),
         ("report", "no_calibration", "--out", "missing/report.html"),
+        ("odometry", "no_calibration", "no_drive", "--out", os.devnull, "--covariance", "missing/c.csv"),
         ("follow", "--path", "no_path", "--out", "plain/x"),
         ("design", "--area", "no_area", "--out", "plain"),
     ],

@@ -89,12 +89,15 @@ def odometry(
 ) -> None:
     """Where the robot drove: a trajectory with covariance, from wheels, and gyro and reference where they are there."""
     from skidsteer import console, documents
+    from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.covariance_csv import write_covariances
     from skidsteer.io.tum import write_tum
     from skidsteer.odometry.phases import run_phases
     from skidsteer.odometry.run import OdometryOptions, run
 
+    for file in [out] if covariance is None else [out, covariance]:
+        check_file(file)
     options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
     known = load_calibration(calibration).profile(profile)
     loaded = source.load_one(drive, otherwise=known.vehicle)
