@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import POSE_DRIVES, Run
+from conftest import POSE_DRIVES, Call, Run
 from skidsteer.io.folder import write_folder
 from skidsteer.samples import sample
 
@@ -266,3 +266,13 @@ def test_options_of_bags_that_cannot_be(run: Run, words: list[str], said: str) -
     done = run("check", "sample:p3at-mandow", *words)
     assert (done.returncode, done.stdout) == (1, "")
     assert said in done.stderr
+
+
+def test_positions_alone_tell_no_error_in_yaw(short: Path, tmp_path: Path, call: Call) -> None:
+    poses = [line.split(",") for line in (short / "pose.csv").read_text(encoding="utf-8").splitlines()]
+    (tmp_path / "position.csv").write_text("".join(f"{t},{x},{y}\n" for t, x, y, _ in poses), encoding="utf-8")
+    words = ("--vehicle", "pioneer-p3at", "--model", "icr_symmetric")
+    code, out, _ = call("calibrate", short / "wheels.csv", tmp_path / "position.csv", *words)
+    assert code == 0
+    assert "Before: dead reckoning" in out
+    assert "nan" not in out

@@ -130,10 +130,15 @@ def before_after(calibration: Calibration) -> str:
             f" (RMS, nominal track width). After: {after.yaw_gyro_deg.rms:.1f} deg."
         )
     return (
-        f"Before: dead reckoning over windows of {length} s is off by {before.translation_m.rms:.3f} m and"
-        f" {before.yaw_deg.rms:.1f} deg (RMS, nominal track width)."
-        f" After: {after.translation_m.rms:.3f} m and {after.yaw_deg.rms:.1f} deg."
+        f"Before: dead reckoning over windows of {length} s is off by {_rms(before)} (RMS, nominal track width)."
+        f" After: {_rms(after)}."
     )
+
+
+def _rms(held_out: HeldOut) -> str:
+    """RMS errors of position and yaw, of those that the reference told."""
+    position, yaw = held_out.translation_m.rms, held_out.yaw_deg.rms
+    return f"{position:.3f} m" + (f" and {yaw:.1f} deg" if np.isfinite(yaw) else "")
 
 
 def _as_multipliers(held_out: HeldOut) -> str:
