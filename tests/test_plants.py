@@ -117,6 +117,11 @@ def test_manoeuvres_that_are_none(text: str) -> None:
         parse_manoeuvres(text, P3AT)
 
 
+def test_manoeuvres_of_more_than_a_day_are_refused() -> None:
+    with pytest.raises(RequestError, match=r"1e\+09 s are more than a day; durations are in s"):
+        parse_manoeuvres("5e8,0.5,0:5e8,0,1", preset("jackal"))
+
+
 def test_speeds_within_the_limit_pass() -> None:
     refuse_fast(P3AT, Series(np.arange(2.0), np.full((2, 2), -0.69)))
     refuse_fast(replace(P3AT, max_wheel_speed=None), Series(np.arange(2.0), np.full((2, 2), 99.0)))

@@ -13,6 +13,7 @@ from skidsteer.io.text_file import short
 from skidsteer.simulate import controller, rims_from_manoeuvres
 from skidsteer.vehicle import Vehicle
 
+LONGEST = 86400.0  # [s] of manoeuvres
 RIMS, BODY = ("v_left", "v_right"), ("v", "omega")
 
 
@@ -35,7 +36,7 @@ def parse_manoeuvres(text: str, vehicle: Vehicle) -> Series:
     """Rim speeds (n, 2) [m/s] at 100 Hz from ``DURATION,V,OMEGA:...`` [s, m/s, rad/s], between ramps of 0.6 m/s^2.
 
     Raises:
-        RequestError: not three finite numbers each, or a duration that is not above 0.
+        RequestError: not three finite numbers each, a duration that is not above 0, or more than a day.
     """
     try:
         rows = np.array([[float(word) for word in row.split(",")] for row in text.strip().strip(":").split(":")])
@@ -46,4 +47,6 @@ def parse_manoeuvres(text: str, vehicle: Vehicle) -> Series:
         raise RequestError(
             f"manoeuvres {short(text)}: write DURATION,V,OMEGA:... in s, m/s, rad/s, such as 8,0.4,0:6,0,0.8"
         )
+    if (lasts := float(rows[:, 0].sum())) > LONGEST:
+        raise RequestError(f"manoeuvres {short(text)}: {lasts:.3g} s are more than a day; durations are in s")
     return rims_from_manoeuvres(rows, controller(vehicle))
