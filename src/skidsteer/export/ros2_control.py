@@ -178,7 +178,7 @@ def _noise(calibration: Calibration, found: Projection, settings: Settings) -> s
             " No reference told positions: that part is an assumption. Nor whether wheels or gyro erred in yaw: the"
             f" covariances of yaw take all of it, {noise.gyro:.3g} rad after a second, for an error of the wheels."
         )
-    raised = f", raised {known.raised:.2g}-fold to what held-out windows show" if calibration.regions else ""
+    raised = f", times {known.raised:.2g}, as held-out windows show" if calibration.regions else ""
     return comment(
         f"Covariances: the motion's error grows by {noise.walk:.3g} m and {noise.turn:.3g} rad in a metre rolled, with"
         f" the root of the distance{raised}. That of the twist is for each of {settings.rate:g} messages a second at"

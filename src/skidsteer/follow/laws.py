@@ -78,7 +78,7 @@ LAWS: Mapping[str, Mapping[str, Law]] = {  # by name and gains; the first gains 
     },
     "soetanto": {name: _soetanto(soetanto_law.GAINS[name]) for name in ("launch", "header")},
     "pentzer": {"published": _pentzer(feed_forward=False), "feed-forward": _pentzer(feed_forward=True)},
-    "pure_pursuit": {name: _pure_pursuit(pursuit.PRESETS[name]) for name in ("adaptive", "nav2", "plain")},
+    "pure_pursuit": {name: _pure_pursuit(pursuit.PRESETS[name]) for name in ("nav2", "adaptive", "plain")},
     "predictive": {"usual": _predictive},
 }
 

@@ -248,7 +248,8 @@ def _choose(options: CalibrateOptions, judged: Mapping[str, HeldOutErrors]) -> t
     selection = select(judged)
     if options.model == "auto":
         return selection.name, selection.because
-    return options.model, f"asked for; by held-out errors it would be: {selection.because}"
+    told = "and chosen by held-out errors, too" if selection.name == options.model else "by held-out errors it would be"
+    return options.model, f"asked for; {told}: {selection.because}"
 
 
 def _estimates(found: Fit) -> dict[str, Estimate]:
