@@ -18,7 +18,7 @@ ORDER = """
     simulate rolling terramechanics mujoco_plant samples p3at laser
     io doctor identify evaluation
     odometry control plants follow plan export report figures reproduce
-    documents console sources cli
+    documents console courses sources cli
 """
 ROOMS = ORDER.split()
 OPTIONAL = {"rosbags", "mcap", "matplotlib", "plotly", "pandas", "mujoco", "psutil"}  # inside functions only

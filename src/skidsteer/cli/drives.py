@@ -39,7 +39,7 @@ def design(
     json: Json = False,
 ) -> None:
     """The drive that determines a model best, as a table of commands, and the sigmas that it will give."""
-    from skidsteer import console, documents
+    from skidsteer import console, courses, documents
     from skidsteer.identify.design import design_drive, make_request
     from skidsteer.identify.excursion import footprint_radius
     from skidsteer.identify.manoeuvres import Limits
@@ -64,7 +64,7 @@ def design(
     if json:
         typer.echo(documents.to_json(documents.design_document(made)))
     else:
-        console.show_design(made)
+        courses.show_design(made)
 
 
 @app.command()

@@ -38,7 +38,7 @@ def plan(
     json: Json = False,
 ) -> None:
     """Wheel commands that drive a calibrated robot round an obstacle, and where it will end."""
-    from skidsteer import console, documents
+    from skidsteer import courses, documents
     from skidsteer.io.atomic import write_text
     from skidsteer.io.command_table import write_commands, write_path
     from skidsteer.plan.circumnavigation import Request, circumnavigate
@@ -56,4 +56,4 @@ def plan(
     if json:
         typer.echo(document)
     else:
-        console.show_plan(made)
+        courses.show_plan(made)
