@@ -18,7 +18,8 @@ from skidsteer.models import MODELS
 from skidsteer.samples import sample
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted(p.relative_to(ROOT).as_posix() for p in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))
+DOCUMENTS = sorted(p.relative_to(ROOT).as_posix() for p in PAGES if p.is_file())  # none beside an installed package
 CLOSE = 0.02  # share by which a number may differ from machine to machine
 
 
@@ -31,8 +32,6 @@ class Block:
 
 
 def text_of(name: str) -> str:
-    if not (ROOT / name).is_file():
-        pytest.skip("no documents beside an installed package")
     return (ROOT / name).read_text(encoding="utf-8")
 
 
@@ -92,12 +91,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+def code_of(name: str) -> list[str]:
+    """Its blocks of Python."""
+    return re.findall(r"```python\n(.*?)```", text_of(name), re.DOTALL)
+
+
+@pytest.mark.parametrize("name", [name for name in DOCUMENTS if any(blocks((ROOT / name).read_text("utf-8")))])
 def test_every_command_runs_and_prints_what_is_told(name: str, folder: Path, call: Call) -> None:
-    found = list(blocks(text_of(name)))
-    if not found:
-        pytest.skip("no commands")
-    for block in found:
+    for block in blocks(text_of(name)):
         if "warthog-asphalt" in block.command and not (folder / "warthog-asphalt").exists():
             continue
         words = ["other_drive" if word.endswith(".mcap") else word for word in block.command.split()[1:]]
@@ -109,14 +110,11 @@ def test_every_command_runs_and_prints_what_is_told(name: str, folder: Path, cal
         assert promised <= {p.name for p in (folder / "result").iterdir()}
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+@pytest.mark.parametrize("name", [name for name in DOCUMENTS if code_of(name)])
 def test_python_runs(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = re.findall(r"```python\n(.*?)```", text_of(name), re.DOTALL)
-    if not code:
-        pytest.skip("no Python")
     before, space = dict(MODELS), {"__name__": name}
     try:
-        for i, part in enumerate(code):
+        for i, part in enumerate(code_of(name)):
             exec(compile(part, f"{name}:{i}", "exec", dont_inherit=True), space)
     finally:
         MODELS.clear()
