@@ -12,6 +12,7 @@ from numpy.testing import assert_array_equal
 
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError, SkidSteerError
+from skidsteer.io.drives import load_drives
 from skidsteer.io.folder import read_csv_files, read_folder, vehicle, write_folder
 from skidsteer.vehicle import Vehicle
 
@@ -90,8 +91,8 @@ def test_sha256_is_that_of_the_files_used(folder: Path) -> None:
     (folder / "notes.txt").write_text("not used\n")
     used = ["wheels.csv", "pose.csv", "imu.csv", "cmd.csv", "cmdwheels.csv", "segments.csv"]
     content = "".join(FILES[name] for name in used)
-    assert read_folder(folder).sha256 == hashlib.sha256((content + FILES["vehicle.yaml"]).encode()).hexdigest()
-    assert read_folder(folder, ROBOT).sha256 == hashlib.sha256(content.encode()).hexdigest()
+    recorded = hashlib.sha256(content.encode()).hexdigest()
+    assert read_folder(folder).sha256 == read_folder(folder, vehicle("jackal")).sha256 == recorded
 
 
 def test_given_vehicle_replaces_the_file(folder: Path) -> None:
@@ -101,6 +102,16 @@ def test_given_vehicle_replaces_the_file(folder: Path) -> None:
     assert read_folder(folder, vehicle("jackal")).vehicle.name == "jackal"
     with pytest.raises(DataError, match=r"no vehicle.yaml; name the robot with --vehicle NAME\|FILE \(presets: husky"):
         read_folder(folder)
+
+
+def test_a_vehicle_to_fall_back_on_leaves_the_file_alone(folder: Path) -> None:
+    other = vehicle("jackal")
+    assert read_folder(folder, otherwise=other).vehicle == ROBOT
+    assert read_folder(folder, vehicle("warthog"), otherwise=other).vehicle.name == "warthog"
+    assert load_drives([str(folder)], otherwise=other)[0].vehicle == ROBOT
+    (folder / "vehicle.yaml").unlink()
+    assert read_folder(folder, otherwise=other).vehicle == other
+    assert read_csv_files([folder / "wheels.csv", folder / "pose.csv"], otherwise=other).vehicle == other
 
 
 def test_pose_is_preferred_to_position(folder: Path) -> None:

@@ -93,7 +93,8 @@ def evaluation_document(evaluation: Evaluation, length: float) -> Document:
     drives = {
         name: {**_held_out(h), "time_offset_s": evaluation.time_offsets[name]} for name, h in evaluation.drives.items()
     }
-    return {"window_s": length, **_held_out(evaluation.total), "drives": drives}
+    warnings = list(evaluation.warnings)
+    return {"window_s": length, **_held_out(evaluation.total), "drives": drives, "warnings": warnings}
 
 
 def comparison_document(held_out: dict[str, HeldOut], selection: Selection) -> Document:
@@ -119,8 +120,8 @@ def terrains_document(found: Terrains) -> Document:
     }
 
 
-def odometry_document(result: Odometry) -> Document:
-    """What ``odometry --json`` prints."""
+def odometry_document(result: Odometry, warnings: Sequence[str] = ()) -> Document:
+    """What ``odometry --json`` prints; ``warnings`` are of calibration and drive."""
     track = result.track
     return {
         "filter": result.filter.fingerprint,
@@ -145,6 +146,7 @@ def odometry_document(result: Odometry) -> Document:
         "since": result.since,
         "distance_m": None if result.distance is None else asdict(result.distance),
         "nominal_distance_m": None if result.nominal is None else asdict(result.nominal),
+        "warnings": list(warnings),
     }
 
 

@@ -10,16 +10,20 @@ from skidsteer.drive import Drive
 from skidsteer.errors import DataError
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.metrics import WindowErrors, window_errors
+from skidsteer.vehicle import Vehicle
 from skidsteer.windows import increment_windows
+
+ALIKE = 0.005  # share by which the measures of a robot may differ from file to file
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Figures over all drives and of each, and the time offset [s] that each was judged with."""
+    """Figures over all drives and of each, the time offset [s] that each was judged with, and what to know of them."""
 
     total: HeldOut
     drives: dict[str, HeldOut]
     time_offsets: dict[str, float]
+    warnings: tuple[str, ...] = ()
 
 
 def evaluate(
@@ -51,7 +55,36 @@ def evaluate(
         name = drive.name if drive.name not in figures else f"{drive.name}#{len(figures) + 1}"
         figures[name], offsets[name] = HeldOut.of(errors, calibration.regions), timing.time_offset
         parts.append(errors)
-    return Evaluation(HeldOut.of(WindowErrors.join(parts), calibration.regions), figures, offsets)
+    total = HeldOut.of(WindowErrors.join(parts), calibration.regions)
+    return Evaluation(total, figures, offsets, other_robots(calibration, drives))
+
+
+def other_robots(calibration: Calibration, drives: Sequence[Drive]) -> tuple[str, ...]:
+    """A sentence on each drive whose vehicle has other measures than that of the calibration.
+
+    Rim speeds are encoder rates times the nominal wheel radius. They are taken as recorded: whether it is one robot
+    with two configurations, whose speeds would have to be scaled, or two robots, no file tells.
+    """
+    return tuple(_other_robot(drive, calibration.vehicle) for drive in drives if _differ(drive, calibration.vehicle))
+
+
+def _differ(drive: Drive, known: Vehicle) -> bool:
+    own = drive.vehicle
+    pairs = (own.track_width, known.track_width), (own.wheel_radius, known.wheel_radius)
+    return any(abs(a - b) > ALIKE * b for a, b in pairs)
+
+
+def _other_robot(drive: Drive, known: Vehicle) -> str:
+    ratio = known.wheel_radius / drive.vehicle.wheel_radius
+    scaled = f"; if it is one robot, multiply them by {ratio:.4g}" if abs(ratio - 1.0) > ALIKE else ""
+    return (
+        f"{drive.name}: recorded by {_measures(drive.vehicle)}, but the calibration is of {_measures(known)}; its rim"
+        f" speeds are taken as they are{scaled}"
+    )
+
+
+def _measures(vehicle: Vehicle) -> str:
+    return f"{vehicle.name} (track width {vehicle.track_width:.4g} m, wheel radius {vehicle.wheel_radius:.4g} m)"
 
 
 def fit_offset(calibration: Calibration, drive: Drive) -> float:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import inspect
+import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 if TYPE_CHECKING:
+    from skidsteer.calibration import Calibration
     from skidsteer.drive import Drive
     from skidsteer.identify.circle_calibration import CircleCalibration
     from skidsteer.io.bag import BagContents
     from skidsteer.io.options import BagOptions
     from skidsteer.vehicle import Vehicle
+
+log = logging.getLogger(__name__)
 
 SOURCE_OPTIONS = {
     "vehicle": ("NAME|FILE", "preset or YAML file with the robot's measures"),
@@ -46,15 +50,15 @@ class Source:
         name = self.words["vehicle"]
         return None if name is None else vehicle(name)
 
-    def load_one(self, paths: list[str], otherwise: Vehicle | None = None) -> Drive:
-        """Read what must be one drive; ``otherwise`` is its vehicle where none was asked for.
+    def load_one(self, paths: list[str], known: Calibration | None = None) -> Drive:
+        """Read what must be one drive, see ``load``.
 
         Raises:
             RequestError: several drives were named.
         """
         from skidsteer.errors import RequestError
 
-        drives = self.load(paths, otherwise)
+        drives = self.load(paths, known)
         if len(drives) > 1:
             raise RequestError(f"one drive at a time, got {len(drives)}")
         return drives[0]
@@ -65,11 +69,18 @@ class Source:
 
         return bag_contents(paths[0], self._options())
 
-    def load(self, paths: list[str], otherwise: Vehicle | None = None) -> list[Drive]:
-        """Read drives; ``otherwise`` is their vehicle where none was asked for."""
+    def load(self, paths: list[str], known: Calibration | None = None) -> list[Drive]:
+        """Read drives; beside a calibration the vehicle is its own where none is told, and another robot is logged."""
         from skidsteer.io.drives import load_drives
 
-        return load_drives(paths, self.vehicle() or otherwise, self._options())
+        if known is None:
+            return load_drives(paths, self.vehicle(), self._options())
+        from skidsteer.evaluation import other_robots
+
+        drives = load_drives(paths, self.vehicle(), self._options(), otherwise=known.vehicle)
+        for sentence in other_robots(known, drives):
+            log.warning("Note: %s.", sentence)
+        return drives
 
     def grounds(self, words: list[str]) -> dict[str, list[Drive]]:
         """Read drives by the ground they were driven on."""

@@ -89,6 +89,7 @@ def odometry(
 ) -> None:
     """Where the robot drove: a trajectory with covariance, from wheels, and gyro and reference where they are there."""
     from skidsteer import console, documents
+    from skidsteer.evaluation import other_robots
     from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.covariance_csv import write_covariances
@@ -100,13 +101,13 @@ def odometry(
         check_file(file)
     options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
     known = load_calibration(calibration).profile(profile)
-    loaded = source.load_one(drive, otherwise=known.vehicle)
+    loaded = source.load_one(drive, known)
     result = run(known, loaded, options) if phases is None else run_phases(known, loaded, phases, options)
     write_tum(out, result.track.t, result.track.poses)
     if covariance is not None:
         write_covariances(covariance, result.track.t, result.track.covariances)
     if json:
-        typer.echo(documents.to_json(documents.odometry_document(result)))
+        typer.echo(documents.to_json(documents.odometry_document(result, other_robots(known, [loaded]))))
     else:
         console.show_odometry(result)
 

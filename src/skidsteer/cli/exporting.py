@@ -38,7 +38,7 @@ def export(
     from skidsteer.io.calibration_file import load_calibration
 
     known = load_calibration(calibration).profile(profile)
-    loaded = source.load(drives, otherwise=known.vehicle) if drives else []
+    loaded = source.load(drives, known) if drives else []
     settings = Settings(controller, rate, icr_frame, source.words["imu_topic"] or "imu/data")
     made = text(known, to, settings, force(known, loaded, positive(window, "--window")))
     if out is None:

@@ -92,7 +92,7 @@ def evaluate(
     from skidsteer.io.calibration_file import load_calibration
 
     known = load_calibration(calibration).profile(profile)
-    loaded = source.load(drives, otherwise=known.vehicle)
+    loaded = source.load(drives, known)
     result = evaluate_drives(known, loaded, positive(window, "--window"), fit_delay)
     if json:
         typer.echo(documents.to_json(documents.evaluation_document(result, window)))

@@ -114,7 +114,7 @@ def _material(
     if calibration is None and not names:
         raise RequestError("give --calibration FILE, --drive DRIVE or both")
     known = None if calibration is None else load_calibration(calibration).profile(profile)
-    drives = tuple(source.load(names, otherwise=None if known is None else known.vehicle)) if names else ()
+    drives = tuple(source.load(names, known)) if names else ()
     shown, rest = (drives, drives) if show is None else parted(drives, *parse_part(show))
     if known is None:
         with console.progress_bar() as report:

@@ -37,7 +37,7 @@ def report(
     if circles is not None:
         evidence = gather(known, (), circles.surfaces, length)
     else:
-        loaded = source.load(words, otherwise=known.vehicle) if words else []
+        loaded = source.load(words, known) if words else []
         evidence = gather(known, loaded, window=length, fit_delay=fit_delay)
     write_report(evidence, out)
     typer.echo(f"written: {out}")

@@ -24,7 +24,12 @@ PREFIX = "sample:"
 NOT_A_DRIVE = "give a drive folder, CSV files, a bag (.bag, .mcap, .db3 or a rosbag2 folder) or sample:NAME"
 
 
-def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag: BagOptions = AUTOMATIC) -> Drive:
+def load_drive(
+    path: str | os.PathLike[str],
+    vehicle: Vehicle | None = None,
+    bag: BagOptions = AUTOMATIC,
+    otherwise: Vehicle | None = None,
+) -> Drive:
     """Read a drive. What was chosen in a bag is logged.
 
     Args:
@@ -32,6 +37,7 @@ def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag
         vehicle: of the drive; None: what is written beside it. A bag needs it.
         bag: topics, joints and frames of a bag, where the automatic choice does not fit; and the plate on the robot
             that the laser scans of any drive show.
+        otherwise: vehicle where there is neither that nor one written beside the drive.
 
     Raises:
         DataError: the files cannot be read as a drive.
@@ -42,13 +48,13 @@ def load_drive(path: str | os.PathLike[str], vehicle: Vehicle | None = None, bag
         return sample(text.removeprefix(PREFIX))
     names = text.split(",")
     if all(name.lower().endswith(".csv") for name in names):
-        return read_csv_files(names, vehicle, bag.plate)
+        return read_csv_files(names, vehicle, bag.plate, otherwise)
     if not os.path.exists(text):
         raise DataError(f"{text}: no such drive; {NOT_A_DRIVE}")
     if _is_bag(text):
-        return _load_bag(text, vehicle, bag)
+        return _load_bag(text, vehicle or otherwise, bag)
     if Path(text).is_dir():
-        return read_folder(text, vehicle, bag.plate)
+        return read_folder(text, vehicle, bag.plate, otherwise)
     raise DataError(f"{text}: not a drive; {NOT_A_DRIVE}")
 
 
@@ -86,8 +92,15 @@ def _load_bag(path: str, vehicle: Vehicle | None, options: BagOptions) -> Drive:
     return drive
 
 
-def load_drives(paths: Sequence[str], vehicle: Vehicle | None = None, bag: BagOptions = AUTOMATIC) -> list[Drive]:
+def load_drives(
+    paths: Sequence[str],
+    vehicle: Vehicle | None = None,
+    bag: BagOptions = AUTOMATIC,
+    otherwise: Vehicle | None = None,
+) -> list[Drive]:
     """Read all drives named on a command line; CSV files that stand beside each other there are one drive.
+
+    With ``otherwise``, the vehicle that a calibration is of, the drives may be of any robots.
 
     Raises:
         RequestError: none named, or drives of different robots.
@@ -103,8 +116,9 @@ def load_drives(paths: Sequence[str], vehicle: Vehicle | None = None, bag: BagOp
         else:
             groups.append(path)
         was_csv = is_csv
-    drives = [load_drive(group, vehicle, bag) for group in groups]
-    _refuse_other_robots(drives)
+    drives = [load_drive(group, vehicle, bag, otherwise) for group in groups]
+    if otherwise is None:
+        _refuse_other_robots(drives)
     return drives
 
 

@@ -45,7 +45,12 @@ SEGMENT_COLUMNS = ("seg", "t_start", "t_end")
 LATEST_TIME = 1e11  # [s] after 1970: the year 5138, while milliseconds since 1970 passed it in 1973
 
 
-def read_folder(path: str | os.PathLike[str], vehicle: Vehicle | None = None, plate: Plate | None = None) -> Drive:
+def read_folder(
+    path: str | os.PathLike[str],
+    vehicle: Vehicle | None = None,
+    plate: Plate | None = None,
+    otherwise: Vehicle | None = None,
+) -> Drive:
     """Read a drive folder.
 
     Args:
@@ -53,10 +58,11 @@ def read_folder(path: str | os.PathLike[str], vehicle: Vehicle | None = None, pl
             ``seg``, ``t_start`` and ``t_end`` become ``Drive.labels``.
         vehicle: taken in place of ``vehicle.yaml``.
         plate: on the robot: its poses in ``scans.csv`` are the reference, not those of any other file.
+        otherwise: vehicle where there is neither that nor ``vehicle.yaml``.
 
     Returns:
-        The drive, named after the folder. Its ``sha256`` is that of the files used, one after the other in the order
-        of ``READ``, then ``vehicle.yaml``.
+        The drive, named after the folder. Its ``sha256`` is that of what was recorded: the files used, one after the
+        other in the order of ``READ``, without ``vehicle.yaml``.
 
     Raises:
         DataError: no such folder, no ``wheels.csv`` in it, no vehicle, or a file that cannot be used.
@@ -67,11 +73,14 @@ def read_folder(path: str | os.PathLike[str], vehicle: Vehicle | None = None, pl
         raise DataError(f"{path}: no wheels.csv (t, v_left, v_right); there are: {listed(sorted(names))}")
     there = {part: path / file for part, file in READ.items() if file in names}
     tables = {part: read_table(there[part]) for part in _used(there, plate, str(path))}
-    return _assemble(_folder_name(path), str(path), tables, vehicle, plate)
+    return _assemble(_folder_name(path), str(path), tables, vehicle, plate, otherwise)
 
 
 def read_csv_files(
-    paths: Sequence[str | os.PathLike[str]], vehicle: Vehicle | None = None, plate: Plate | None = None
+    paths: Sequence[str | os.PathLike[str]],
+    vehicle: Vehicle | None = None,
+    plate: Plate | None = None,
+    otherwise: Vehicle | None = None,
 ) -> Drive:
     """Read CSV files that together are one drive, each recognised by its name or else by its columns.
 
@@ -82,6 +91,7 @@ def read_csv_files(
         paths: the files.
         vehicle: taken in place of the ``vehicle.yaml`` beside the file with the wheel speeds.
         plate: as of ``read_folder``.
+        otherwise: as of ``read_folder``.
 
     Returns:
         The drive, named after the file with the wheel speeds, or after its folder where that is ``wheels.csv``.
@@ -102,7 +112,7 @@ def read_csv_files(
     used = _used(tables, plate, ", ".join(map(str, paths)))
     wheels = tables["wheels"].path
     name = _folder_name(wheels.parent) if wheels.name == FILES["wheels"] else wheels.stem
-    return _assemble(name, ", ".join(map(str, paths)), {part: tables[part] for part in used}, vehicle, plate)
+    return _assemble(name, ", ".join(map(str, paths)), {part: tables[part] for part in used}, vehicle, plate, otherwise)
 
 
 def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
@@ -137,13 +147,18 @@ def _used(parts: Iterable[str], plate: Plate | None, where: str) -> list[str]:
 
 
 def _assemble(
-    name: str, source: str, tables: Mapping[str, Table], vehicle: Vehicle | None, plate: Plate | None
+    name: str,
+    source: str,
+    tables: Mapping[str, Table],
+    vehicle: Vehicle | None,
+    plate: Plate | None,
+    otherwise: Vehicle | None,
 ) -> Drive:
     contents = {tables[part].path: tables[part].data for part in READ if part in tables}
     if vehicle is None:
         file = tables["wheels"].path.parent / VEHICLE_FILE
-        contents[file] = _vehicle_bytes(file)
-        vehicle = parse_vehicle(file, contents[file])
+        beside = os.path.lexists(file)
+        vehicle = otherwise if otherwise and not beside else parse_vehicle(file, _vehicle_bytes(file))
     series = {part: _series(tables[part], part) for part in COLUMNS if part in tables}
     wheels = series.pop("wheels")
     if len(wheels) < 2:

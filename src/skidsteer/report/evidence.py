@@ -11,6 +11,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.doctor import Finding, examine, fix
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
+from skidsteer.evaluation import other_robots
 from skidsteer.export import Forced, force
 from skidsteer.identify.circle_test import SurfaceResult, chi_of_run, runs_from_drive
 from skidsteer.identify.holdout import Folds
@@ -66,6 +67,7 @@ class Evidence:
     findings: tuple[tuple[str, tuple[Finding, ...]], ...]
     is_held_out: bool
     is_seen: bool  # some of the drives are the calibration's own
+    notes: tuple[str, ...]  # what to know of calibration and drives
 
 
 def gather(
@@ -110,6 +112,7 @@ def gather(
         findings=tuple((drive.name, examine(drive)) for drive in drives),
         is_held_out=bool(known) and all(reckoner.is_held_out for reckoner in known),
         is_seen=any(reckoner.seen for reckoner in known),
+        notes=(*calibration.warnings, *other_robots(calibration, drives)),
     )
 
 

@@ -91,11 +91,11 @@ def reckoners(
         fit_delay: find the time offset of the drives that the calibration was not made from.
         folds: fits to the odd and even blocks of its own drives; None: made here.
     """
-    records = [(record.name, record.sha256) for record in calibration.provenance.drives]
-    seen = [(drive.name, drive.sha256) in records for drive in drives]
+    records = {record.sha256 or record.name for record in calibration.provenance.drives}
+    seen = [(drive.sha256 or drive.name) in records for drive in drives]
     told = all(drive.reference is not None or drive.gyro is not None for drive in drives)
     if folds is None and drives and told and all(seen) and len(drives) == len(records):
-        folds = _folds(calibration, list(drives))
+        folds = _folds(calibration, [replace(drive, vehicle=calibration.vehicle) for drive in drives])
     if folds is not None:
         return tuple(Reckoner(d, _parts(folds, i), folds.edges[i], True) for i, d in enumerate(drives))
     whole = np.array([-np.inf, np.inf])

@@ -35,7 +35,7 @@ def sections(evidence: Evidence) -> tuple[Section, ...]:
 
 
 def _notes(evidence: Evidence) -> Section | None:
-    notes = evidence.calibration.warnings
+    notes = evidence.notes
     return section("notes", "What to know", tag("ul", *(tag("li", f"{note}.") for note in notes))) if notes else None
 
 

@@ -1,0 +1,80 @@
+"""What users meet at the edges of the command line: other robots, odd names, places that cannot be written to."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from conftest import Call
+from skidsteer import calibrate
+from skidsteer.io.calibration_file import save_calibration
+from skidsteer.io.drives import load_drive
+from skidsteer.io.folder import write_folder
+from skidsteer.samples import sample
+from skidsteer.vehicle import preset
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """40 s of the sample as a drive folder."""
+    path = tmp_path_factory.mktemp("drives") / "short"
+    write_folder(sample("p3at-mandow").between(0.0, 40.0), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def calibrated(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibration of the sample."""
+    path = tmp_path_factory.mktemp("result") / "calibration.yaml"
+    save_calibration(calibrate(load_drive(short), "multiplier"), path)
+    return path
+
+
+def of_other_robot(short: Path, tmp_path: Path, track_width: float, wheel_radius: float) -> Path:
+    folder = tmp_path / "foreign"
+    shutil.copytree(short, folder)
+    words = f"name: other\ntrack_width: {track_width}\nwheel_radius: {wheel_radius}\n"
+    (folder / "vehicle.yaml").write_text(words, encoding="utf-8")
+    return folder
+
+
+def test_a_drive_of_another_robot_is_told(
+    calibrated: Path, short: Path, tmp_path: Path, call: Call, caplog: pytest.LogCaptureFixture
+) -> None:
+    foreign = of_other_robot(short, tmp_path, 0.5, 0.22)
+    code, out, _ = call("evaluate", calibrated, short, foreign, "--json")
+    told = json.loads(out)["warnings"]
+    assert code == 0
+    assert told == [
+        "foreign: recorded by other (track width 0.5 m, wheel radius 0.22 m), but the calibration is of pioneer-p3at"
+        " (track width 0.4 m, wheel radius 0.11 m); its rim speeds are taken as they are; if it is one robot, multiply"
+        " them by 0.5"
+    ]
+    assert caplog.messages == [f"Note: {told[0]}."]
+    code, out, _ = call("odometry", calibrated, foreign, "--out", tmp_path / "x.tum", "--json")
+    assert json.loads(out)["warnings"] == told
+    assert call("report", calibrated, foreign, "--out", tmp_path / "x.html")[0] == 0
+    assert told[0] in (tmp_path / "x.html").read_text(encoding="utf-8")
+
+
+def test_the_robot_of_a_calibration_is_no_other(calibrated: Path, short: Path, tmp_path: Path, call: Call) -> None:
+    same = of_other_robot(short, tmp_path, 0.4001, 0.11)
+    asked = of_other_robot(short, tmp_path / "b", 0.5, 0.22)
+    for words in ([short, same], [asked, "--vehicle", "pioneer-p3at"], ["sample:p3at-mandow"]):
+        code, out, _ = call("evaluate", calibrated, *words, "--json")
+        assert (code, json.loads(out)["warnings"]) == (0, [])
+
+
+@pytest.mark.parametrize("robot", [None, "husky-a200"])
+def test_a_report_knows_the_drive_it_was_made_from(robot: str | None, short: Path, tmp_path: Path, call: Call) -> None:
+    """Whatever vehicle was named, and whatever the folder is called by now."""
+    drive = load_drive(short, None if robot is None else preset(robot))
+    save_calibration(calibrate(drive, "multiplier"), tmp_path / "calibration.yaml")
+    shutil.copytree(short, tmp_path / "moved")
+    assert call("report", tmp_path / "calibration.yaml", tmp_path / "moved", "--out", tmp_path / "again.html")[0] == 0
+    text = (tmp_path / "again.html").read_text(encoding="utf-8")
+    assert "After: held out" in text
+    assert "that it was not made from" not in text
