@@ -12,9 +12,12 @@ from skidsteer.errors import DataError, RequestError
 from skidsteer.models import Icr
 from skidsteer.models.transfer_factor import TransferFactor
 from skidsteer.odometry.kinematic_ekf import PRIOR, TABLE_1, KinematicEkf, thalmann_filter
+from skidsteer.odometry.log import Log
 from skidsteer.odometry.state import FilterState, Pose, Position, Standstill, YawRate
 from skidsteer.odometry.state_choice import SystemNoise, rims, unit_variance
 from skidsteer.odometry.thalmann_replay import Tracking, replay
+from skidsteer.odometry.timeline import Timeline
+from skidsteer.odometry.track import stepwise
 from skidsteer.windows import Mount
 
 NOISE = SystemNoise(0.7, 0.3, 0.02, 0.004, 0.03, 0.02)
@@ -187,6 +190,26 @@ def test_compiled_loop_and_pure_steps_agree_to_rounding(name: str) -> None:
     assert at == 30
     assert 0 < used < 80
     assert_allclose(got.last.mean, state.mean, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_sample_counts_once_however_its_step_is_cut(late: bool) -> None:
+    """Positions between two samples, in time or late, cut the step; the sample is one observation all the same."""
+    f, R, rng = truth("extended"), 0.25 * np.eye(2), np.random.default_rng(6)
+    t = np.arange(0.0, 4.0, 0.1)
+    wheels, seen = Series(t, 0.5 + rng.normal(0.0, 0.05, (40, 2))), Series(t[:-1] + 0.03, rng.normal(0.0, 0.5, (39, 2)))
+    start = f.start(0.0, [0.1, 0.2, 0.3], 0.5 * np.eye(3))
+    expected = replay(f, start, wheels, Tracking(seen, 0.5)).state(f, 39)
+    if late:
+        timeline = Timeline(f, start)
+        for k, (left, right) in enumerate(wheels.values[:-1].tolist()):
+            timeline = timeline.predict((left, right), t[k + 1] - t[k])
+            timeline, _ = timeline.update(Position(seen.t[k], seen.values[k], R))
+        got = timeline.now
+    else:
+        got = stepwise(f, start, Log(wheels, seen, R)).last
+    assert_allclose(got.mean, expected.mean, rtol=1e-6, atol=1e-8)
+    assert_allclose(got.covariance, expected.covariance, rtol=1e-6, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["basic", "extended"])

@@ -173,6 +173,10 @@ class IcrFilter:
         kernel.step(mean, P, memory, self.setup, left, right, dt)
         return FilterState(self.fingerprint, state.time + dt, mean, P, memory)
 
+    def hold(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
+        """See ``Filter.hold``: here a sample is what is held, and tells nothing else."""
+        return self.predict(state, wheels, dt)
+
     def update(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
         """The state with a measurement that holds at the state's time; see ``Filter.update``.
 

@@ -150,8 +150,7 @@ class KinematicEkf:
     def predict(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
         """Take the encoders into the state, then advance it by dt [s].
 
-        A gap of seconds is survived: the robot is thought to go on as before, its covariance grows with dt^4. A step is
-        split by giving the wheels to its first part only, and None to the others.
+        A gap of seconds is survived: the robot is thought to go on as before, its covariance grows with dt^4.
 
         Raises:
             DataError: time goes backwards, or speeds or time are not finite; a dt of zero changes nothing.
@@ -171,6 +170,10 @@ class KinematicEkf:
             variance, limits, patience = self.encoders
             kernels.step(mean, P, left, right, step, self.inverse, variance, limits, patience, *self.dynamics)
         return FilterState(state.filter, state.time + dt, mean, P)
+
+    def hold(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
+        """See ``Filter.hold``: a sample is one observation, however many parts its step is cut into."""
+        return self.predict(state, None, dt)
 
     def observe(self, state: FilterState, wheels: tuple[float, float]) -> tuple[FilterState, float, np.ndarray]:
         """Take rim speeds (2,) [m/s] into the state.

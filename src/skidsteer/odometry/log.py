@@ -11,7 +11,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.gyro import rough_errors
-from skidsteer.odometry.state import ORIGIN, Measurement, Pose, Position, YawRate
+from skidsteer.odometry.state import ORIGIN, Filter, FilterState, Measurement, Pose, Position, YawRate
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import MAX_GAP, Mount
 
@@ -22,6 +22,11 @@ class Step:
 
     wheels: tuple[float, float] | None
     dt: float
+    sampled: bool = True  # the speeds were told at its beginning, not before
+
+    def taken(self, filter: Filter, state: FilterState) -> FilterState:
+        """The state after it."""
+        return (filter.predict if self.sampled else filter.hold)(state, self.wheels, self.dt)
 
 
 Event = Step | Measurement
@@ -70,7 +75,7 @@ class Log:
                 if now == t[i]:
                     break
                 until = min([t[i], *gyro_t[g : g + 1], *when[k : k + 1]])
-                happens.append(Step(wheels, float(until - now)))
+                happens.append(Step(wheels, float(until - now), bool(now == t[i - 1])))
                 if 0 < g < len(gyro_t) and gyro_t[g] - gyro_t[g - 1] <= MAX_GAP:
                     happens.append(self._rate(g, float(until), float(until - now)))
                 g += int(g < len(gyro_t) and gyro_t[g] == until)

@@ -124,6 +124,9 @@ class Filter(Protocol):
             RequestError: a state of another filter.
         """
 
+    def hold(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
+        """As ``predict``, for speeds that are still held: no sample has come since they were told before."""
+
     def update(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
         """The state with a measurement that holds at the state's time.
 

@@ -50,7 +50,7 @@ class Timeline:
         for event, new in events:
             past.append((state, event))
             if isinstance(event, Step):
-                state = self.filter.predict(state, event.wheels, event.dt)
+                state = event.taken(self.filter, state)
                 continue
             state, innovation = self.filter.update(state, event)
             if new:
@@ -129,7 +129,7 @@ def _cut(step: Step, cuts: list[float]) -> Iterator[Step]:
     wheels = step.wheels if step.dt <= MAX_GAP else None
     edges = [0.0, *inside, step.dt]
     for a, b in pairwise(edges):
-        yield Step(wheels, b - a)
+        yield Step(wheels, b - a, step.sampled and a == 0.0)
 
 
 def _total(told: Sequence[Innovation]) -> Innovation:

@@ -64,7 +64,7 @@ def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
     for happens in log.events():
         for event in happens:
             if isinstance(event, Step):
-                state = filter.predict(state, event.wheels, event.dt)
+                state = event.taken(filter, state)
                 continue
             state, innovation = filter.update(state, event)
             if isinstance(event, Pose | Position):
