@@ -26,12 +26,15 @@ def frozen(calibration: Calibration, gyro: bool) -> Filter:
 def thalmann(name: str, calibration: Calibration, gyro: bool) -> Filter:
     """A filter of Thalmann 2016, which knows the nominal track width alone and follows the encoders closely.
 
+    It has no state for the bias of a gyro, which would count as turning: a gyro is left out.
+
     Its test of the encoders is off: wheels that are measured less often than logged would fail at every step.
     """
     noise = SystemNoise(2.0, 2.0, 0.02, walk=calibration.noise.walk, turn=calibration.noise.turn)
     return replace(thalmann_filter(name, calibration.vehicle.track_width, noise), significance=0.0)
 
 
+KNOW_BIAS = ("icr", "frozen")  # filters that a gyro is told to
 # name -> a filter for a calibration, and for a drive with a gyro or without
 FILTERS: dict[str, Callable[[Calibration, bool], Filter]] = {
     "icr": icr,

@@ -13,7 +13,7 @@ from skidsteer.evaluation import fit_offset
 from skidsteer.models import Differential
 from skidsteer.noise import Noise
 from skidsteer.odometry.begin import HERE, begin, closest
-from skidsteer.odometry.filters import FILTERS
+from skidsteer.odometry.filters import FILTERS, KNOW_BIAS
 from skidsteer.odometry.icr_filter import IcrFilter
 from skidsteer.odometry.log import Log, log_of
 from skidsteer.odometry.state import Filter
@@ -27,7 +27,7 @@ class OdometryOptions:
 
     filter: str = "icr"  # of ``FILTERS``
     reference: bool = True  # False: it is there to judge by only
-    gyro: bool = True
+    gyro: bool = True  # where the filter has a state for its bias
     smooth: bool = False  # each pose given the whole drive
     lose_after: float | None = None  # [s] from the start, after which the reference is there to judge by only
     fit_delay: bool = False  # find the time offset of the reference first; needs reference poses
@@ -72,7 +72,7 @@ def run(calibration: Calibration, drive: Drive, options: OdometryOptions = Odome
     if options.fit_delay and drive.pose is None:
         raise RequestError(f"{drive.name}: a delay is fitted to reference poses, and it has none")
     offset = fit_offset(calibration, drive) if options.fit_delay else None
-    whole = log_of(calibration, drive, offset, gyro=options.gyro)
+    whole = log_of(calibration, drive, offset, gyro=options.gyro and options.filter in KNOW_BIAS)
     log, since = _taken(whole, options)
     filter = FILTERS[options.filter](calibration, log.gyro is not None)
     start = begin(filter, log, calibration.model, calibration.timing.lag)
