@@ -324,6 +324,32 @@ def test_the_pose_is_told_as_if_it_came_at_once(delay: float) -> None:
     assert np.hypot(*(run.seen[299, :2] - run.states[299, :2])) == pytest.approx(1.5 * delay, abs=0.01)
 
 
+def test_without_a_pose_the_observer_reckons_with_the_slip_and_learns_nothing() -> None:
+    """2 s blind: as with a pose that tells nothing, its slip as known, the robot not where its rims alone lead."""
+    blind, told = Observer(0.1, 0.06), Observer(0.1, 0.06, 1e6, 1e6)
+    start = blind.begin((1.0, 2.0, 0.5), 0.28, 0.05)
+    a = b = start
+    for k in range(100):
+        a = blind.advance(a, None, 1.5, 0.6, 0.02, 0.6)
+        b = told.advance(b, (k, -k, 0.0), 1.5, 0.6, 0.02, 0.6)
+    assert_allclose(a.now, b.now, atol=1e-8)
+    assert_allclose(a.late_covariance, b.late_covariance, atol=1e-8)
+    assert_allclose(a.now[slip.SCALE :], start.now[slip.SCALE :], rtol=1e-12)
+    assert np.diag(a.late_covariance)[0] > 10.0 * np.diag(start.late_covariance)[0]
+    assert len(a.steps) <= 4
+
+
+@pytest.mark.parametrize("truth", ["scheduled", "wide"])
+def test_poses_at_10_hz_are_no_more_than_they_tell(truth: str) -> None:
+    """Between two poses none comes: what is reckoned there must not count as seen. (It did: 1.3 and 0.8 cm.)"""
+    lost = tuple((0.1 * k + 0.01, 0.1 * k + 0.09) for k in range(600))
+    sensing = Sensing(delay=0.06, position_sigma=0.005, yaw_sigma=0.003, gyro_sigma=0.003, lost=lost)
+    run = drive(controller(1.5), truth=WRONG[truth], sensing=sensing)
+    assert run.done
+    assert np.isfinite(run.seen[:, 0]).mean() == pytest.approx(0.2, abs=0.01)
+    assert np.abs(run.cross_track[run.t > 6.0]).mean() < {"scheduled": 0.009, "wide": 0.006}[truth]
+
+
 def test_a_slip_that_the_calibration_does_not_know_is_found() -> None:
     """A robot whose ICR moves ahead by 0.25 s v and that turns less: side = -(0.28 + 0.25 v) omega, 0.9 omega."""
     truth = ScheduledIcr(0.55, -0.48, 0.28, 0.9, 0.93, 0.0, 0.25, 0.0, 0.0, 0.0)

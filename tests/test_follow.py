@@ -345,7 +345,7 @@ def test_a_controller_is_told_what_was_sent() -> None:
             return 3.0, 0.5
 
         def advance(self, state: PathState, *heard: object) -> PathState:
-            told.append(heard[-1])
+            told.append(heard[3])
             return state
 
     run = follow(RollingModel(PLANT), Greedy(), WHEELS, line(9.0), ends=Ends(time=0.5), acceleration=5.0)  # type: ignore[arg-type]

@@ -88,7 +88,15 @@ class Huskic:
         v, omega = turn_within(v, omega, self.gains.omega_max)
         return state.direction * v, omega
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+    def advance(
+        self,
+        state: PathState,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        dt: float,
+        commanded: Command,
+        reckoned: bool = False,
+    ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
         return advanced(state, pose, twist, dt, self.icr_x, self.gains.k1)
 

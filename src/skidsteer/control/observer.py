@@ -106,12 +106,14 @@ class Observer:
         nothing = np.empty((0, 3))
         return Estimate(late, turn, 0.0, 0.0, 0.0, late, np.diag(sigma**2), np.diag(FIRST_TURN**2), nothing, late)
 
-    def advance(self, before: Estimate, pose: Triple, speed: float, omega: float, dt: float, asked: float) -> Estimate:
+    def advance(
+        self, before: Estimate, pose: Triple | None, speed: float, omega: float, dt: float, asked: float
+    ) -> Estimate:
         """After a step.
 
         Args:
             before: it.
-            pose: told after it, of ``delay`` ago.
+            pose: told after it, of ``delay`` ago; None: none came.
             speed: [m/s] told after it.
             omega: [rad/s] told after it.
             dt: [s] that it took.
@@ -123,7 +125,8 @@ class Observer:
         usual = before.usual
         Q = np.concatenate([np.full(3, WANDER_POSE), self.agility * WANDER_SLIP]) ** 2
         R = self._pose_sigma**2
-        used = kernels.late(late, late_covariance, steps, self.delay, np.array(pose), Q, R, usual, MEMORY, JUMP, now)
+        seen = np.full(3, np.nan) if pose is None else np.array(pose)
+        used = kernels.late(late, late_covariance, steps, self.delay, seen, Q, R, usual, MEMORY, JUMP, now)
         moved = replace(before, now=now, speed=max(speed, 0.0), omega=omega)
         turn, turn_covariance = before.turn.copy(), before.turn_covariance.copy()
         body_lag = max(float(now[kernels.COMPLIANCE]), 0.0) * moved.body_speed

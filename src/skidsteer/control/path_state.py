@@ -99,7 +99,15 @@ class Controller(Protocol[State]):
             DataError: a pose or twist that is not finite: stop, and wait for the localization.
         """
 
-    def advance(self, state: State, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> State:
+    def advance(
+        self,
+        state: State,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        dt: float,
+        commanded: Command,
+        reckoned: bool = False,
+    ) -> State:
         """The state dt [s] later; a dt of 0 moves no target.
 
         Args:
@@ -108,6 +116,7 @@ class Controller(Protocol[State]):
             twist: (3,) measured after it.
             dt: [s] that it took.
             commanded: v [m/s], omega [rad/s] that were sent for it, after whatever slowed them within wheel limits.
+            reckoned: no pose was measured since; this is where twists brought the last one.
 
         Raises:
             DataError: a pose, twist or dt that is not finite, or a dt below 0.

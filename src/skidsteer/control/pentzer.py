@@ -76,7 +76,15 @@ class Pentzer:
         v, omega = turn_within(v, self._turn(error, v, state.direction * self.icr_x), self.gains.omega_max)
         return state.direction * v, omega
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+    def advance(
+        self,
+        state: PathState,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        dt: float,
+        commanded: Command,
+        reckoned: bool = False,
+    ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
         finite("twist", twist)
         return state.projected(pose) if elapsed(dt) > 0.0 else state

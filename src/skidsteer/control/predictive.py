@@ -146,15 +146,22 @@ class Predictive:
         return state.direction * v, omega
 
     def advance(
-        self, state: PredictiveState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command
+        self,
+        state: PredictiveState,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        dt: float,
+        commanded: Command,
+        reckoned: bool = False,
     ) -> PredictiveState:
-        """See ``Controller``."""
+        """See ``Controller``. A pose that was reckoned tells nothing: the observer reckons with the slip."""
         at, (v, _, omega) = finite("pose", pose), finite("twist", twist)
         if elapsed(dt) == 0.0:
             return state
         ahead = state.direction
         asked = ahead * commanded[0], commanded[1]
-        estimate = self._observer.advance(state.estimate, _along(at, ahead), ahead * v, omega, dt, asked[1])
+        told = None if reckoned else _along(at, ahead)
+        estimate = self._observer.advance(state.estimate, told, ahead * v, omega, dt, asked[1])
         s = state.path.project(estimate.pose[:2], near=state.s)
         stages = np.arange(len(state.plan))
         plan = np.interp(stages + dt / state.stage, stages, state.plan)

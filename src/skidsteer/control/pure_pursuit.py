@@ -74,7 +74,15 @@ class PurePursuit:
         speed = self._speed(regulating, state, at)
         return state.direction * speed, speed * curvature
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+    def advance(
+        self,
+        state: PathState,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        dt: float,
+        commanded: Command,
+        reckoned: bool = False,
+    ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
         finite("twist", twist)
         return state.projected(pose) if elapsed(dt) > 0.0 else state

@@ -77,7 +77,15 @@ class Soetanto:
         v, omega = turn_within(v, self._turn(error, v), self.omega_max)
         return state.direction * v, omega
 
-    def advance(self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command) -> PathState:
+    def advance(
+        self,
+        state: PathState,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        dt: float,
+        commanded: Command,
+        reckoned: bool = False,
+    ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
         return advanced(state, pose, twist, dt, 0.0, self.gains.k1)
 

@@ -69,7 +69,8 @@ class Driver(Generic[State]):
         if before.state is None:
             state = self._controller.begin(self._path, known.pose)
         else:
-            state = self._controller.advance(before.state, known.pose, twist, dt, before.realised)
+            told = known.pose, twist, dt, before.realised
+            state = self._controller.advance(before.state, *told, known.age > 0.0)
         return self._sent(before, known, state, self._controller.command(known.pose, twist, state), dt)
 
     def _sent(

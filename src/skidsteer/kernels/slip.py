@@ -133,7 +133,7 @@ def late(
         P: in and out, (10, 10).
         steps: (n, 3) dt [s], v, omega as told; oldest first. A step that is used in part is shortened.
         delay: of the pose.
-        pose: (3,) measured.
+        pose: (3,) measured; NaN: none came, nothing is updated.
         Q: (10,) variances that a second adds.
         R: (3,) variances of the pose.
         usual: (10,) see ``predict``.
@@ -153,7 +153,8 @@ def late(
             used += 1
         else:
             steps[used, 0] -= dt
-    update(x, P, pose, R, jump)
+    if not math.isnan(pose[0]):
+        update(x, P, pose, R, jump)
     now[:] = x
     F = np.empty((STATES, STATES))
     for i in range(used, len(steps)):
