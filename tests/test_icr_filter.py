@@ -53,8 +53,10 @@ def transition(f: IcrFilter, state: FilterState, dt: float = 0.3) -> FloatArray:
 
 
 def warm(f: IcrFilter) -> FilterState:
-    """A state with speeds behind the lag that are not those of the rims."""
-    return f.predict(f.start(5.0, POSE, P_POSE), (0.2, 0.1), 0.2)
+    """A state with speeds behind the lag that are not those of the rims, in which each number goes with each other."""
+    state = f.predict(f.start(5.0, POSE, P_POSE), (0.2, 0.1), 0.2)
+    A = 0.01 * np.random.default_rng(2).normal(size=(len(f.names), len(f.names)))
+    return FilterState(state.filter, state.time, state.mean, state.covariance + A @ A.T, state.memory)
 
 
 @pytest.mark.parametrize("model", [*MODELS.values(), TransferFactor])
@@ -71,8 +73,9 @@ def test_compiled_twists_are_those_of_the_models(model: type[Model]) -> None:
 
 @pytest.mark.parametrize("model", [*MODELS.values(), TransferFactor])
 @pytest.mark.parametrize("gyro", [False, True])
-def test_a_step_carries_the_covariance_by_its_derivative(model: type[Model], gyro: bool) -> None:
-    f = filter_of(anywhere(model, np.random.default_rng(1)), gyro)
+@pytest.mark.parametrize("reach", [1000.0, 1.0])
+def test_a_step_carries_the_covariance_by_its_derivative(model: type[Model], gyro: bool, reach: float) -> None:
+    f = replace(filter_of(anywhere(model, np.random.default_rng(1)), gyro), options=FilterOptions(reach=reach))
     state, dt = warm(f), 0.3
     after = f.predict(state, WHEELS, dt)
     F, q = transition(f, state), len(f.free)
@@ -150,9 +153,10 @@ def test_an_update_is_the_textbook_one(dof: int) -> None:
     assert_allclose(after.covariance, P - K @ S @ K.T, atol=1e-12)
 
 
-def test_a_yaw_rate_is_taken_with_the_noise_of_the_step_it_measures() -> None:
+@pytest.mark.parametrize("reach", [1000.0, 1.0])
+def test_a_yaw_rate_is_taken_with_the_noise_of_the_step_it_measures(reach: float) -> None:
     """Independent: condition the joint Gaussian of the state before, and of the step's own noise."""
-    f = replace(make_filter(sigma=0.02, gyro=True), gyro_scale=1.03)
+    f = replace(make_filter(sigma=0.02, gyro=True, reach=reach), gyro_scale=1.03)
     state, dt, R = warm(f), 0.25, 4e-4
     after = f.predict(state, WHEELS, dt)
     F, q, n = transition(f, state, dt), 5, 9

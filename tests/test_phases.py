@@ -7,13 +7,14 @@ from numpy.testing import assert_allclose
 from skidsteer.calibration import Calibration, Estimate, Provenance
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError, RequestError
+from skidsteer.models import Differential
 from skidsteer.models.transfer_factor import TransferFactor
 from skidsteer.noise import Noise
 from skidsteer.odometry.filters import FILTERS
 from skidsteer.odometry.kinematic_ekf import TABLE_1
 from skidsteer.odometry.phases import run_phases
 from skidsteer.odometry.run import Odometry, OdometryOptions, run
-from skidsteer.se2 import rotate
+from skidsteer.se2 import compose, rotate
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import Vehicle
 
@@ -67,6 +68,21 @@ def test_slips_are_learned_until_the_reference_is_lost(drive: Drive, result: Odo
     assert result.nominal is not None
     assert result.distance.most < 0.3 * result.nominal.most
     assert np.sqrt(track.covariances[-1, 0, 0] + track.covariances[-1, 1, 1]) > 0.2 * result.distance.rms
+
+
+def test_a_nominal_robot_is_judged_where_its_target_sits() -> None:
+    """Where nothing slips dead reckoning leads the target, 0.5 m off the middle, to where it is seen."""
+    nominal = Differential(0.6)
+    rims = rims_from_manoeuvres(np.array([[12.0, 0.5, 0.4], [18.0, 0.5, -0.4]]), nominal, 10.0)
+    made = kinematic_drive("nominal", VEHICLE, nominal, rims, Sensors(5.0, 0.002, 1e-6), seed=1)
+    assert made.pose is not None
+    target = compose(made.pose.values, np.array([0.3, -0.4, 0.0]))[:, :2]
+    mounted = {"mount_x": Estimate(0.3, 0.0, "m"), "mount_y": Estimate(-0.4, 0.0, "m")}
+    calibration = replace(known(True), estimates=known(False).estimates | mounted)
+    seen = replace(made, pose=None, position=Series(made.pose.t, target, "position"))
+    result = run_phases(calibration, seen, 15.0)
+    assert result.nominal is not None
+    assert result.nominal.most < 0.1
 
 
 def test_what_comes_after_the_loss_changes_nothing(drive: Drive, result: Odometry) -> None:

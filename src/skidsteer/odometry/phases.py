@@ -17,7 +17,7 @@ from skidsteer.odometry.run import Odometry, OdometryOptions, distance
 from skidsteer.odometry.state_choice import SystemNoise
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
 from skidsteer.odometry.track import Track
-from skidsteer.se2 import FloatArray
+from skidsteer.se2 import FloatArray, compose
 
 LEAST_SIGMA = 0.01  # [m] of a position: what repeats from one to the next is not in the calibration's noise
 
@@ -74,10 +74,8 @@ def _reckoned(model: Differential, wheels: Series, whole: Replay, tracking: Trac
     part = wheels.between(float(whole.t[at]), np.inf)
     assert part is not None
     poses = reckon(model, part, start=whole.means[at, :3])
-    x, y, yaw = (np.interp(whole.seen_t, part.t, column) for column in poses.T)
-    c, s = np.cos(yaw), np.sin(yaw)
-    ahead, aside = tracking.lever
-    return np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], axis=1)
+    body = np.stack([np.interp(whole.seen_t, part.t, column) for column in poses.T], axis=-1)
+    return compose(body, np.array([*tracking.lever, 0.0]))[:, :2]
 
 
 def _track(whole: Replay, names: tuple[str, ...]) -> Track:
