@@ -130,13 +130,18 @@ def test_real_drives_of_everything_are_told_nothing(name: str, real: object) -> 
     assert verdict.weak == verdict.sentences == ()
 
 
-def test_positions_are_judged_by_the_symmetric_model() -> None:
+def test_positions_are_judged_as_if_the_place_of_the_antenna_were_known() -> None:
     drive = sample("p3at-mandow").between(0.0, 100.0)
     assert drive.pose is not None
     positions = Series(drive.pose.t, drive.pose.values[:, :2], "position")
     verdict = observe_drive(replace(drive, pose=None, position=positions))
-    assert verdict.model == "icr_symmetric"
+    assert verdict.model == "icr"
     assert verdict.sentences == ()
+    drives = [replace(drive, pose=None, position=positions)]
+    windows = [increment_windows(drives[0])]
+    found = fit(Icr.nominal(P3AT), drives, windows, FitOptions(mount=None))
+    assert found.named("icr_x")[1] > 0.1
+    assert observe(found, drives, windows, FitOptions(mount=None)).weak == ()
 
 
 def test_terms_that_a_drive_does_not_support_are_not_asked_for() -> None:

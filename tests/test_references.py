@@ -11,13 +11,12 @@ import pytest
 from scipy.stats import chi2
 
 from skidsteer.drive import Drive, Series
-from skidsteer.errors import RequestError
 from skidsteer.evaluation import evaluate
-from skidsteer.identify.calibrate import CalibrateOptions, calibrate
+from skidsteer.identify.calibrate import CalibrateOptions, calibrate, candidates
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.io.drives import load_drive
 from skidsteer.metrics import window_errors
-from skidsteer.models import Differential, Icr, Model, SymmetricIcr
+from skidsteer.models import MODELS, Differential, Icr, Model, SymmetricIcr
 from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH
 from skidsteer.se2 import FloatArray, compose
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
@@ -154,17 +153,6 @@ def test_a_gyro_beside_poses_is_found_out_and_sharpens_the_yaw() -> None:
     assert np.median(better) < 0.8
 
 
-def test_an_asymmetric_model_needs_to_know_where_the_reference_sits() -> None:
-    drive = with_positions(P3AT_TRUTH, 0)
-    with pytest.raises(RequestError, match="--mount X,Y"):
-        calibrate(drive, "icr")
-    found = calibrate(drive)
-    assert found.model.NAME in ("differential", "multiplier", "icr_symmetric", "curvature")
-    assert any("where the reference sits" in warning for warning in found.warnings)
-    known = calibrate(drive, options=CalibrateOptions(model="icr", mount=Mount(MOUNT.x, MOUNT.y)))
-    assert abs(known.estimates["icr_y_left"].value - P3AT_TRUTH.icr_y_left) < 0.01
-
-
 @pytest.mark.parametrize("ground", ["asphalt", "flooring", "ice", "snow"])
 def test_a_gyro_alone_gives_the_effective_track_width(ground: str, real: Callable[[str], Path]) -> None:
     found = calibrate(load_drive(real(f"husky-gyro-{ground}")), "multiplier")
@@ -206,6 +194,21 @@ def test_a_perfect_position_reference_is_judged_by_aligned_distance() -> None:
     assert np.median(errors.translation) < 0.015
     off = window_errors(Differential.nominal(P3AT), drive, Timing(DELAY, P3AT_LAG))
     assert np.median(off.translation) > np.median(errors.translation)
+
+
+def test_unknown_antenna_takes_no_model_away() -> None:
+    """How far the ICRs are from it is told, and told well; where they are on the robot is honestly unsure."""
+    drive = with_positions(P3AT_TRUTH, 0)
+    assert candidates([drive], CalibrateOptions(fit=FitOptions(mount=None))) == list(MODELS)
+    found = calibrate(drive, options=CalibrateOptions("icr", spacing=0.0))
+    for icr, place in (("icr_x", MOUNT.x), ("icr_y_left", MOUNT.y), ("icr_y_right", MOUNT.y)):
+        pair, apart = (icr, "mount_x" if icr == "icr_x" else "mount_y"), np.array([1.0, -1.0])
+        index = [found.names.index(name) for name in pair]
+        away = apart @ [found.estimates[name].value for name in pair]
+        sigma = np.sqrt(apart @ found.covariance[np.ix_(index, index)] @ apart)
+        assert abs(away - (getattr(P3AT_TRUTH, icr) - place)) < 3.5 * sigma
+        assert sigma < 0.02 < 0.1 < min(found.estimates[name].sigma for name in pair)
+    assert any("where the reference sits" in warning for warning in found.warnings)
 
 
 def test_where_the_sensor_sits_is_kept_for_those_who_use_the_model() -> None:

@@ -30,7 +30,6 @@ from skidsteer.windows import Mount, increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
-SYMMETRIC = ("differential", "multiplier", "icr_symmetric", "curvature")  # about the origin
 YAW_ONLY = ("differential", "multiplier")  # all that a gyro alone can tell apart
 LEAST_MOVE = 0.5  # [m] rolled in all, below which there is nothing to calibrate
 Progress = Callable[[str, int, int], None]  # what is being done, steps done, steps in all
@@ -143,8 +142,8 @@ def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) ->
     """Where the reference's sensor sits; None: to be estimated.
 
     Unless told, a reference with heading is taken to be of base_link, and a single antenna or prism to be somewhere.
-    Motion alone cannot tell where the sensor sits from where the ICRs are: only with a mounting that is given can the
-    full ICR model be found, else it is estimated together with a model that is symmetric about the origin.
+    Motion alone cannot tell where the sensor sits from where the ICRs are, only how far they are apart: where both
+    are estimated, what is known before the drive tells the rest, and their sigmas say so.
     Where the logs of all drives put their antenna at one place, it is there.
     """
     if isinstance(wanted, Mount):
@@ -155,23 +154,10 @@ def mounting(drives: Sequence[Drive], wanted: Mount | Literal["free"] | None) ->
 
 
 def candidates(drives: Sequence[Drive], options: CalibrateOptions) -> list[str]:
-    """Names of the models that the reference can tell apart, from the simplest; with the one asked for.
-
-    Raises:
-        RequestError: the model asked for needs a mounting that is known.
-    """
-    able = list(MODELS)
-    if options.fit.mount is None:
-        able = [name for name in able if name in SYMMETRIC]
-    if all(d.reference is None for d in drives):
-        able = [name for name in able if name in YAW_ONLY]
+    """Names of the models that the reference can tell apart, from the simplest; with the one asked for."""
+    able = list(YAW_ONLY) if all(d.reference is None for d in drives) else list(MODELS)
     if options.model == "auto":
         return able
-    if options.fit.mount is None and options.model not in able:
-        raise RequestError(
-            f"{options.model} is not symmetric about the origin and needs to know where on the robot the reference is;"
-            f" give --mount X,Y, or choose one of {', '.join(able)}"
-        )
     return sorted({*(name for name in BASELINES if name in able), options.model}, key=list(MODELS).index)
 
 
@@ -303,8 +289,8 @@ def _unseen(drives: Sequence[Drive], found: Fit) -> list[str]:
         return [f"the reference's sensor is turned by {yaw:.1f} +- {sigma:.1f} deg against the way the robot drives"]
     if "mount_x" in free:
         return [
-            "where the reference sits on the robot was not given: it was estimated together with a model symmetric"
-            " about the origin; give --mount X,Y to find the full ICR model"
+            "where the reference sits on the robot was not given, and motion alone cannot tell it from where the ICRs"
+            " are: only how far they are apart is known well; give --mount X,Y to know each"
         ]
     return []
 

@@ -11,7 +11,7 @@ from skidsteer.gyro import Turn
 from skidsteer.identify.least_squares import Fit
 from skidsteer.identify.problem import Problem
 from skidsteer.identify.start import FitOptions, with_headings
-from skidsteer.identify.unknowns import Unknowns
+from skidsteer.identify.unknowns import SHARED, Unknowns
 from skidsteer.models import Differential, Icr, Model, Multiplier, SymmetricIcr
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Windows
@@ -62,18 +62,24 @@ class Judged:
 
 
 def judge(found: Fit, drives: list[Drive], windows: list[Windows], options: FitOptions) -> Judged:
-    """The fit's own covariance where its model is free enough, else the information about the freer one."""
+    """The fit's own covariance where its model is free enough, else the information about the freer one.
+
+    A fit that estimates where the reference sits is judged as if that were known: no drive could tell it from the ICRs.
+    """
     model = _freer(found, windows)
     own = len(found.model.PARAMETERS)
     state = Unknowns(model, np.concatenate([model.theta, found.values[own:]]), len(drives))
     free = np.concatenate([np.ones(state.p, bool), found.free[own:]])
     if model is found.model:
-        free = found.free
+        free = found.free.copy()
+    place = [state.p + SHARED.index(name) for name in ("mount_x", "mount_y")]
+    as_found = model is found.model and not free[place].any()
+    free[place] = False
     turns = [Turn.of(d.gyro) if d.gyro is not None and options.use_gyro else None for d in drives]
     headed = [with_headings(model, d, w, state, i) for i, (d, w) in enumerate(zip(drives, windows, strict=True))]
     prior, names = state.prior_sigma(drives), state.names(drives)
     problem = Problem(drives, headed, turns, state, prior, free, state.bounds(drives), options)
-    covariance = found.covariance if model is found.model else _covariance(problem, state, found)
+    covariance = found.covariance if as_found else _covariance(problem, state, found)
     as_fit = replace(
         found, model=model, names=names, values=state.x, covariance=covariance, prior_sigma=prior, free=free
     )
@@ -90,8 +96,6 @@ def _freer(found: Fit, windows: list[Windows]) -> Model:
     A = model.matrix()
     alpha = float(A[0].sum())
     half = alpha / float(A[2, 1] - A[2, 0])
-    if found.free[found.names.index("mount_x")]:
-        return model if isinstance(model, SymmetricIcr) else SymmetricIcr(half, alpha)
     return Icr(half, -half, 0.0, alpha, alpha)
 
 

@@ -20,7 +20,7 @@ from skidsteer.identify.judged import Judged, judge
 from skidsteer.identify.least_squares import Fit, fit
 from skidsteer.identify.motions import ALIKE, known_motions, sigmas
 from skidsteer.identify.start import FitOptions
-from skidsteer.models import Icr, Model, Multiplier, SymmetricIcr
+from skidsteer.models import Icr, Model, Multiplier
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Windows, increment_windows
 
@@ -59,9 +59,8 @@ def observe_drive(drive: Drive) -> Observability:
     Raises:
         DataError: no reference, or wheels and reference share no time.
     """
-    gyro_only, positions = drive.reference is None, drive.pose is None and drive.position is not None
-    model: type[Model] = Multiplier if gyro_only else SymmetricIcr if positions else Icr
-    options = FitOptions(mount=None) if positions else FitOptions()
+    model: type[Model] = Multiplier if drive.reference is None else Icr
+    options = FitOptions()
     windows = increment_windows(drive)
     return observe(fit(model.nominal(drive.vehicle), [drive], [windows], options), [drive], [windows], options)
 
