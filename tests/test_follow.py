@@ -448,13 +448,13 @@ def test_a_start_farther_off_may_be_allowed() -> None:
     ("make", "message"),
     [
         (lambda: Sensing(rate=0.0), "rate of the controller must be above 0 Hz"),
-        (lambda: Sensing(delay=-0.1), "delay must be at least 0"),
-        (lambda: Sensing(yaw_sigma=math.nan), "yaw_sigma must be at least 0, got nan"),
+        (lambda: Sensing(delay=-0.1), r"the delay of the poses \[s\] must be at least 0, got -0.1"),
+        (lambda: Sensing(yaw_sigma=math.nan), "the noise of the yaw must be at least 0, got nan"),
         (lambda: Sensing(lost=((2.0, 1.0),)), "poses are lost from one time to a later one, got 2.0 to 1.0 s"),
-        (lambda: Jump(math.inf), "a jump needs finite numbers"),
+        (lambda: Jump(math.inf), "a jump needs finite numbers, got 0 m ahead, inf m left, 0 rad"),
         (lambda: Jump(0.5, time=math.nan), "a jump needs a time in s, or a share"),
         (lambda: Ends(laps=0.0), "laps must be above 0"),
-        (lambda: Ends(off=math.nan), "off must be above 0"),
+        (lambda: Ends(off=math.nan), r"the distance off the path \[m\] must be above 0, got nan"),
         (
             lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, 0.0),
             "acceleration of the wheels must be above 0",

@@ -16,13 +16,16 @@ from conftest import Call
 from skidsteer.control import Wheels
 from skidsteer.errors import DataError, RequestError
 from skidsteer.evaluation import evaluate
-from skidsteer.follow import Jump, Run, Sensing, follow
+from skidsteer.follow import Ends, Jump, Run, Sensing, follow
 from skidsteer.follow.animation import embedded, page
 from skidsteer.follow.belief import low_speed
+from skidsteer.follow.driver import Memory
+from skidsteer.follow.known_pose import KnownPose
 from skidsteer.follow.laws import LAWS, Known, controller
+from skidsteer.follow.loop import Judge
 from skidsteer.follow.picture import against_time, thin, ticks, way
 from skidsteer.follow.task import Belief, Task, believed, run_task
-from skidsteer.follow.words import SHAPES, parse_jumps, parse_spans, parse_start, shape
+from skidsteer.follow.words import SHAPES, course, parse_jumps, parse_spans, parse_start
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.io.calibration_file import save_calibration
 from skidsteer.io.drives import load_drive
@@ -31,6 +34,7 @@ from skidsteer.models import Icr
 from skidsteer.paths import lemniscate, line
 from skidsteer.plants import point_contacts
 from skidsteer.rolling import RollingModel
+from skidsteer.samples import sample
 from skidsteer.terramechanics.robot import robot
 from skidsteer.terramechanics.steady_turn import steady_turn
 from skidsteer.terramechanics.terrain import TERRAINS, Area, Ground, parse_ground
@@ -162,16 +166,28 @@ def test_the_same_seed_drives_the_same_way(call: Call, tmp_path: Path) -> None:
         ("--path line --size 1e9", "a path of 1e+09 m is too long, at most 100000 m"),
         ("--path lemniscate --size 5 --laps 1e6", "m at 1 m/s take longer than an hour; give a shorter path"),
         ("--path line --laps 2", "2 laps of a path that is open; waypoints are closed by --closed"),
-        ("--path line --laps 0", "laps must be above 0, got 0.0"),
+        ("--path line --laps 0", "laps must be above 0, got 0"),
         ("--path line --acceleration 0", "the acceleration of the wheels must be above 0 m/s^2, got 0.0"),
+        ("--path line --closed", "--closed is of waypoints in a file; leave it out of a line"),
+        ("--path stadium --topic /plan", "--topic is of waypoints in a file; leave it out of a stadium"),
+        ("--path {way} --size 3", "--size is of a lemniscate, stadium or line; waypoints are driven as they are"),
+        ("--path {way} --topic /plan", "--topic is of a bag, and {way} is none: leave it out"),
+        ("--path line --profile grass", "--profile is of a calibration; give --calibration FILE, too"),
+        ("--path line --laps 0.5", "0.5 laps of a path that is open"),
+        ("--path line --lag nan --controller predictive", "the lag of the wheels must be at least 0 s, got nan"),
+        ("--path line --acceleration 0 --controller predictive", "acceleration of the wheels must be above 0 m/s^2"),
+        ("--path line --position-noise -1", "the noise of the positions [m] must be at least 0, got -1"),
+        ("--path line --jump nan@3", "a jump needs finite numbers, got 0 m ahead, nan m left, 0 rad"),
         ("--path line --jump 9@0", "the drive ended after 0.00 s: lost the path, it is 9.00 m off at 0.00 s"),
         ("--path lemniscate --size 0.001", "widen that curve"),
     ],
 )
 def test_what_cannot_be_is_one_line(call: Call, tmp_path: Path, words: str, message: str) -> None:
-    code, told, error = call("follow", *words.split(), "--out", tmp_path / "out")
+    way = tmp_path / "way.csv"
+    way.write_text("x,y\n0,0\n4,0\n")
+    code, told, error = call("follow", *words.format(way=way).split(), "--out", tmp_path / "out")
     assert (code, told) == (1, "")
-    assert message in error
+    assert message.format(way=way) in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out" / "follow.json").exists()
 
@@ -181,6 +197,65 @@ def test_a_lost_path_is_a_result(call: Call, tmp_path: Path) -> None:
     code, told, _ = call("follow", *words.split(), tmp_path / "out")
     assert code == 0
     assert "lost the path" in told.splitlines()[0]
+
+
+def test_a_step_that_cannot_be_simulated_keeps_the_run_so_far(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = RollingModel.step
+
+    def failing(self: RollingModel, rims: object, dt: float) -> object:
+        if self.state[0] > 1.0:
+            raise RequestError("the forces at 1.3 s find no balance; drive more gently")
+        return step(self, rims, dt)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(RollingModel, "step", failing)
+    code, told, _ = call("follow", "--path", "line", "--out", tmp_path / "out")
+    assert code == 0
+    assert "not simulated on; the forces at 1.3 s find no balance" in told.splitlines()[0]
+    document = json.loads((tmp_path / "out" / "follow.json").read_text())
+    assert document["outcome"] == "not simulated on"
+    assert document["way_m"] == pytest.approx(1.0, abs=0.05)
+    assert len(load_drive(str(tmp_path / "out" / "drive")).wheels) > 50
+
+
+def test_past_the_end_of_a_path_is_told_as_that() -> None:
+    judge = Judge(line(5.0), Ends(off=1.0))
+    judge.locate((4.0, 0.0, 0.0))
+    end = judge.end(3.0, judge.locate((6.2, 0.1, 0.0)), Memory(), 1.0)
+    assert end == ("lost the path", "it is 1.20 m past the end of the path at 3.00 s, more than 1 m")
+    end = judge.end(3.0, judge.locate((-1.1, 0.1, 0.0)), Memory(), 1.0)
+    assert end == ("lost the path", "it is 1.10 m before the beginning of the path at 3.00 s, more than 1 m")
+    end = judge.end(3.0, judge.locate((2.0, -1.5, 0.0)), Memory(), 1.0)
+    assert end == ("lost the path", "it is 1.50 m off at 3.00 s, more than 1 m")
+    wide = Judge(line(5.0), Ends(off=3.0))
+    at, standing = wide.locate((5.8, 0.0, 0.0)), Memory(KnownPose((5.8, 0.0, 0.0)))
+    assert wide.end(1.0, at, standing, 0.0) is None
+    told = wide.end(7.0, at, standing, 0.0)
+    assert told == ("stands still", "it does not move on from 5.00 m along the path, 0.80 m past the end of the path")
+
+
+def test_the_robot_is_that_of_the_calibration(
+    call: Call, tmp_path: Path, short_calibration: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    words = ["follow", "--path", "line", "--size", "3", "--speed", "0.4", "--out", tmp_path / "out", "--json"]
+    assert json.loads(call(*words)[1])["vehicle"] == "summit-xl"
+    assert json.loads(call(*words, "--calibration", short_calibration)[1])["vehicle"] == "pioneer-p3at"
+    assert caplog.messages == []
+    other = json.loads(call(*words, "--calibration", short_calibration, "--vehicle", "jackal")[1])
+    assert (other["vehicle"], other["believed"]["model"]) == ("jackal", "multiplier")
+    assert caplog.messages == [
+        "Note: the calibration is of pioneer-p3at (track width 0.4 m, wheel radius 0.11 m), but jackal (track width"
+        " 0.3756 m, wheel radius 0.098 m) is driven."
+    ]
+
+
+@pytest.fixture
+def short_calibration(tmp_path: Path) -> Path:
+    """A calibration of 30 s of the sample."""
+    found = calibrate(sample("p3at-mandow").between(0.0, 30.0), options=CalibrateOptions(model="multiplier"))
+    save_calibration(found, tmp_path / "known.yaml")
+    return tmp_path / "known.yaml"
 
 
 # Words
@@ -209,9 +284,9 @@ def test_spans_and_starts_in_words() -> None:
 
 
 def test_named_paths_have_their_sizes() -> None:
-    assert shape("lemniscate", None).length == pytest.approx(110.77 / 5.0)  # Huskić 2017, V.B
-    assert shape("stadium", 4.0).length == pytest.approx(8.0 + 2.0 * np.pi)
-    assert {name: shape(name, 3.0).closed for name in SHAPES} == {"lemniscate": True, "stadium": True, "line": False}
+    assert course("lemniscate").length == pytest.approx(110.77 / 5.0)  # Huskić 2017, V.B
+    assert course("stadium", 4.0).length == pytest.approx(8.0 + 2.0 * np.pi)
+    assert {name: course(name, 3.0).closed for name in SHAPES} == {"lemniscate": True, "stadium": True, "line": False}
 
 
 def test_waypoints_that_meet_are_closed(tmp_path: Path) -> None:

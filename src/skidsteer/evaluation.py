@@ -65,12 +65,13 @@ def other_robots(calibration: Calibration, drives: Sequence[Drive]) -> tuple[str
     Rim speeds are encoder rates times the nominal wheel radius. They are taken as recorded: whether it is one robot
     with two configurations, whose speeds would have to be scaled, or two robots, no file tells.
     """
-    return tuple(_other_robot(drive, calibration.vehicle) for drive in drives if _differ(drive, calibration.vehicle))
+    known = calibration.vehicle
+    return tuple(_other_robot(drive, known) for drive in drives if differ(drive.vehicle, known))
 
 
-def _differ(drive: Drive, known: Vehicle) -> bool:
-    own = drive.vehicle
-    pairs = (own.track_width, known.track_width), (own.wheel_radius, known.wheel_radius)
+def differ(one: Vehicle, other: Vehicle) -> bool:
+    """Whether two vehicles have other measures, by which their rim speeds or nominal models differ."""
+    pairs = (one.track_width, other.track_width), (one.wheel_radius, other.wheel_radius)
     return any(abs(a - b) > ALIKE * b for a, b in pairs)
 
 
@@ -78,12 +79,13 @@ def _other_robot(drive: Drive, known: Vehicle) -> str:
     ratio = known.wheel_radius / drive.vehicle.wheel_radius
     scaled = f"; if it is one robot, multiply them by {ratio:.4g}" if abs(ratio - 1.0) > ALIKE else ""
     return (
-        f"{drive.name}: recorded by {_measures(drive.vehicle)}, but the calibration is of {_measures(known)}; its rim"
+        f"{drive.name}: recorded by {measures(drive.vehicle)}, but the calibration is of {measures(known)}; its rim"
         f" speeds are taken as they are{scaled}"
     )
 
 
-def _measures(vehicle: Vehicle) -> str:
+def measures(vehicle: Vehicle) -> str:
+    """A vehicle in words."""
     return f"{vehicle.name} (track width {vehicle.track_width:.4g} m, wheel radius {vehicle.wheel_radius:.4g} m)"
 
 

@@ -30,7 +30,10 @@ def follow(
     terrain: Annotated[
         str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")
     ] = "grass",
-    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file")] = "summit-xl",
+    vehicle: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="preset or YAML file; default: the calibration's, or summit-xl"),
+    ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="what the controller believes; none: as found on the plant at low speed"),
@@ -56,6 +59,7 @@ def follow(
 ) -> None:
     """Let a controller drive a simulated robot along a path, and show how well."""
     from skidsteer import documents
+    from skidsteer.errors import RequestError
     from skidsteer.follow import words
     from skidsteer.follow.animation import page
     from skidsteer.follow.picture import against_time, way
@@ -64,18 +68,16 @@ def follow(
     from skidsteer.follow.task import Belief, Task, believed, recorded_drive, run_task
     from skidsteer.io.atomic import check_folder, write_text
     from skidsteer.io.calibration_file import load_calibration
-    from skidsteer.io.folder import vehicle as find_vehicle
     from skidsteer.io.folder import write_folder
-    from skidsteer.io.waypoints import read_path
     from skidsteer.terramechanics.terrain import parse_ground
 
     check_folder(out)
-    robot, ground = find_vehicle(vehicle), parse_ground(terrain)
-    course = words.shape(path, size) if path in words.SHAPES else read_path(words.file(path), closed, topic)
-    if calibration is None:
-        belief = believed(plant, robot, ground)
-    else:
-        belief = Belief(load_calibration(calibration).profile(profile).model, str(calibration))
+    if profile is not None and calibration is None:
+        raise RequestError("--profile is of a calibration; give --calibration FILE, too")
+    known = None if calibration is None else load_calibration(calibration).profile(profile)
+    robot, ground = words.driven(vehicle, known), parse_ground(terrain)
+    course = words.course(path, size, closed, topic)
+    belief = believed(plant, robot, ground) if known is None else Belief(known.model, str(calibration))
     task = Task(
         course.in_reverse() if reverse else course,
         robot,

@@ -40,9 +40,10 @@ class Ends:
     off: float = 3.0  # [m] from the path, beyond which it is lost
 
     def __post_init__(self) -> None:
-        for name in ("laps", "time", "off"):
-            if not getattr(self, name) > 0.0:
-                raise RequestError(f"{name} must be above 0, got {getattr(self, name)}")
+        named = {"laps": self.laps, "the time [s]": self.time, "the distance off the path [m]": self.off}
+        for name, value in named.items():
+            if not value > 0.0:
+                raise RequestError(f"{name} must be above 0, got {value:g}")
 
 
 ONCE = Ends()
@@ -83,10 +84,11 @@ def follow(
         seed: of the noise.
 
     Returns:
-        Every sample, and how it ended: arrived, laps done, lost the path, tipped over, stands still, time is up.
+        Every sample, and how it ended: arrived, laps done, lost the path, tipped over, stands still, time is up, or
+        not simulated on: a step that the plant cannot simulate.
 
     Raises:
-        RequestError: a path or a start that cannot be driven, or a step that the plant cannot simulate.
+        RequestError: a path or a start that cannot be driven.
     """
     refuse_path(path, wheels)
     refuse_start(path, rolling.state[:3], ends.off)
@@ -108,6 +110,8 @@ def follow(
             rolling.step(memory.sent, 0.0 if end else dt)
         except OverturnedError as fall:
             end = "tipped over", str(fall)
+        except RequestError as fault:
+            end = "not simulated on", str(fault)
     return _run(path, dt, rows, *end)
 
 
@@ -145,10 +149,20 @@ class Judge:
         if not self._path.closed and stands and memory.asked == STANDING and left <= NEAR_END:
             return "arrived", f"it stands {left:.2f} m from the end of the path"
         if (off := math.hypot(at.x_e, at.y_e)) > self._ends.off:
-            return "lost the path", f"it is {off:.2f} m off at {t:.2f} s, more than {self._ends.off:g} m"
+            return "lost the path", f"it is {self._off(at)} at {t:.2f} s, more than {self._ends.off:g} m"
         if self._since is not None and t - self._since > PATIENCE:
-            return "stands still", f"it does not move on from {self.s:.2f} m along the path"
+            aside = f", {self._off(at)}" if off > NEAR_END else ""
+            return "stands still", f"it does not move on from {self.s:.2f} m along the path{aside}"
         return ("time is up", f"{self._ends.time:g} s are over") if t >= self._ends.time else None
+
+    def _off(self, at: PathError) -> str:
+        """How far it is from its point of the path: off to a side, or past an end."""
+        distance = f"{math.hypot(at.x_e, at.y_e):.2f} m"
+        if not self._path.closed and at.x_e > abs(at.y_e) and self.s >= self._path.length:
+            return f"{distance} past the end of the path"
+        if not self._path.closed and -at.x_e > abs(at.y_e) and self.s <= 0.0:
+            return f"{distance} before the beginning of the path"
+        return f"{distance} off"
 
 
 def _run(path: Path, dt: float, rows: list[Row], outcome: str, reason: str) -> Run:

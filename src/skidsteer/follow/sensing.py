@@ -18,6 +18,13 @@ from skidsteer.se2 import FloatArray, compose, invert
 
 Triple = tuple[float, float, float]
 BLOCK = 1000  # samples of noise drawn at once
+NOT_NEGATIVE = {
+    "delay": "delay of the poses [s]",
+    "position_sigma": "noise of the positions [m]",
+    "yaw_sigma": "noise of the yaw",
+    "wheel_sigma": "noise of the rim speeds [m/s]",
+    "gyro_sigma": "noise of the gyro [rad/s]",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +38,11 @@ class Jump:
     share: float = math.inf  # of the way
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.left, self.ahead, self.turn))):
-            raise RequestError(f"a jump needs finite numbers, got {self}")
+        sizes = self.ahead, self.left, self.turn
+        if not all(map(math.isfinite, sizes)):
+            raise RequestError("a jump needs finite numbers, got {:g} m ahead, {:g} m left, {:g} rad".format(*sizes))
         if math.isnan(self.time) or math.isnan(self.share):
-            raise RequestError(f"a jump needs a time in s, or a share of the way, got {self}")
+            raise RequestError("a jump needs a time in s, or a share of the way in %, got nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +66,9 @@ class Sensing:
     def __post_init__(self) -> None:
         if not 0.0 < self.rate <= 1000.0:
             raise RequestError(f"the rate of the controller must be above 0 Hz and at most 1000, got {self.rate}")
-        for name in ("delay", "position_sigma", "yaw_sigma", "wheel_sigma", "gyro_sigma"):
+        for name, words in NOT_NEGATIVE.items():
             if not 0.0 <= getattr(self, name) < math.inf:
-                raise RequestError(f"{name} must be at least 0, got {getattr(self, name)}")
+                raise RequestError(f"the {words} must be at least 0, got {getattr(self, name):g}")
         for start, end in self.lost:
             if not start < end:
                 raise RequestError(f"poses are lost from one time to a later one, got {start} to {end} s")

@@ -41,7 +41,8 @@ class Task:
     """What is to be driven.
 
     Raises:
-        RequestError: a vehicle whose wheel speed is not known, laps of an open path, or a drive of more than an hour.
+        RequestError: a vehicle whose wheel speed is not known, wheels that cannot be, laps of an open path, or a drive
+            of more than an hour.
     """
 
     path: Path
@@ -63,7 +64,11 @@ class Task:
     def __post_init__(self) -> None:
         if self.vehicle.max_wheel_speed is None:
             raise RequestError(f"vehicle {self.vehicle.name} has no max_wheel_speed; give it in a vehicle file")
-        if self.laps > 1.0 and not self.path.closed:
+        if not 0.0 <= self.lag < math.inf:
+            raise RequestError(f"the lag of the wheels must be at least 0 s, got {self.lag}")
+        if not self.acceleration > 0.0:
+            raise RequestError(f"the acceleration of the wheels must be above 0 m/s^2, got {self.acceleration}")
+        if self.laps > 0.0 and self.laps != 1.0 and not self.path.closed:
             raise RequestError(f"{self.laps:g} laps of a path that is open; waypoints are closed by --closed")
         if self.way > LONGEST * self.speed > 0.0:
             raise RequestError(

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Sequence
 
+from skidsteer.calibration import Calibration
 from skidsteer.errors import RequestError
+from skidsteer.evaluation import differ, measures
 from skidsteer.follow.run import Run, Summary
 from skidsteer.follow.sensing import Jump, Triple
 from skidsteer.follow.task import Task
+from skidsteer.io.open_bag import is_bag
+from skidsteer.io.vehicle_file import vehicle
+from skidsteer.io.waypoints import read_path
 from skidsteer.paths import Path, lemniscate, line, stadium
+from skidsteer.vehicle import Vehicle, preset
 
+log = logging.getLogger(__name__)
+
+USUAL = "summit-xl"  # robot of Huskić 2017
 LAP = 110.77 / 5.0  # [m] of the lemniscate of Huskić 2017, V.B
 SHAPES: dict[str, tuple[float, Callable[[float], Path]]] = {  # size [m] unless it is told, and what it is the size of
     "lemniscate": (LAP / lemniscate(1.0).length, lemniscate),  # from end to end
@@ -20,27 +30,50 @@ SHAPES: dict[str, tuple[float, Callable[[float], Path]]] = {  # size [m] unless 
 }
 
 
-def shape(name: str, size: float | None) -> Path:
-    """A path of ``SHAPES``, of a size [m]: from end to end, or of its straights.
+def course(name: str, size: float | None = None, closed: bool = False, topic: str | None = None) -> Path:
+    """A path of ``SHAPES``, or one through waypoints.
+
+    Args:
+        name: of ``SHAPES``, or of a file.
+        size: [m] of a path of ``SHAPES``: from end to end, or of its straights; None: its usual one.
+        closed: waypoints go on from the last to the first.
+        topic: of the waypoints in a bag.
 
     Raises:
-        RequestError: a size that is not positive.
+        DataError: a file that cannot be used.
+        RequestError: no such path or file, a size that is not positive, or one of the others where it is of no use.
     """
-    usual, make = SHAPES[name]
-    return make(usual if size is None else size)
-
-
-def file(name: str) -> str:
-    """The name of a file that is there.
-
-    Raises:
-        RequestError: it is not, nor is it a path of ``SHAPES``.
-    """
+    if name in SHAPES:
+        if closed or topic is not None:
+            raise RequestError(
+                f"--{'closed' if closed else 'topic'} is of waypoints in a file; leave it out of a {name}"
+            )
+        usual, make = SHAPES[name]
+        return make(usual if size is None else size)
     if not os.path.exists(name):
         raise RequestError(
             f"no path '{name}'; there are: {', '.join(SHAPES)}, or give a CSV file with columns x, y, or a bag"
         )
-    return name
+    if size is not None:
+        raise RequestError("--size is of a lemniscate, stadium or line; waypoints are driven as they are: leave it out")
+    if topic is not None and not is_bag(name):
+        raise RequestError(f"--topic is of a bag, and {name} is none: leave it out")
+    return read_path(name, closed, topic)
+
+
+def driven(name: str | None, known: Calibration | None) -> Vehicle:
+    """The robot to drive; None: that of the calibration, or ``USUAL``. A calibration of another one is logged.
+
+    Raises:
+        RequestError: neither a preset nor a file.
+        DataError: the file is not a vehicle.
+    """
+    if name is None:
+        return preset(USUAL) if known is None else known.vehicle
+    robot = vehicle(name)
+    if known is not None and differ(robot, known.vehicle):
+        log.warning("Note: the calibration is of %s, but %s is driven.", measures(known.vehicle), measures(robot))
+    return robot
 
 
 def parse_jumps(text: str) -> tuple[Jump, ...]:
