@@ -298,14 +298,26 @@ def test_the_filter_of_the_pose_has_the_right_derivatives() -> None:
     F, room = np.empty((10, 10)), np.empty((10, 10))
     slip.roll(x.copy(), 0.05, 1.4, -0.6, F)
     for k in range(slip.STATES):
-        if k == slip.TURN_SCALE:  # bends the ground's give, too, which is left out
-            continue
         ends = [x.copy(), x.copy()]
         ends[0][k] += 1e-6
         ends[1][k] -= 1e-6
         for end in ends:
             slip.roll(end, 0.05, 1.4, -0.6, room)
         assert_allclose(F[:, k], (ends[0] - ends[1]) / 2e-6, rtol=5e-2, atol=1e-7)  # the lag shifts the mean
+
+
+def test_the_filter_of_the_turn_carries_its_covariance_by_its_derivative() -> None:
+    drives, usual, none = (0.05, 0.9, 1.1, 0.1, 0.15, 0.3, 0.0), np.array([0.0, 1.0, 0.0, 0.7]), np.zeros(4)
+
+    def after(t: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+        t, P = t.copy(), P.copy()
+        slip.turn(t, P, *drives, none, 1e12, usual, 20.0)  # what is measured tells nothing
+        return t, P
+
+    t, P = np.array([0.8, 1.1, 0.05, 0.9]), np.diag([0.1, 0.2, 0.3, 0.4])
+    P[0, 3] = P[3, 0] = 0.05
+    F = np.array([(after(t + e, P)[0] - after(t - e, P)[0]) / 2e-6 for e in 1e-6 * np.eye(4)]).T
+    assert_allclose(after(t, P)[1], F @ P @ F.T, atol=1e-7)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.06, 0.13])

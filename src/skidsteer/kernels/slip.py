@@ -63,6 +63,10 @@ def roll(x: FloatArray, dt: float, v: float, omega: float, F: FloatArray) -> Non
     F[X, YAW], F[Y, YAW], F[YAW, TURN_SCALE] = -dy, dx, omega * dt
     F[X, TURN_SCALE] -= dy * 0.5 * omega * dt
     F[Y, TURN_SCALE] += dx * 0.5 * omega * dt
+    if sharp < SHARPEST:  # what turns more loses more of its way, and gives way more
+        sharper = abs(omega) / max(abs(v), SLOWEST)
+        for i in (X, Y, SIDE):
+            F[i, TURN_SCALE] += sharper * (x[LOSS] * F[i, SCALE] + x[GIVE] * F[i, COMPLIANCE])
     x[X] += dx
     x[Y] += dy
     x[YAW] += turn * dt
@@ -199,7 +203,9 @@ def turn(
     A = np.eye(TURNS) * kept
     A[OMEGA, OMEGA], A[OMEGA, DRIFT], A[OMEGA, EASE] = b, 1.0 - b, (1.0 - b) * slip * t[OMEGA]
     A[OMEGA, GAIN] = (1.0 - b) * asked + cascade(dt, lag, body_lag) * (rims - asked)
+    resists_less = (1.0 - b) * slip * t[EASE]
     t[:] = A @ t + (1.0 - kept) * usual
+    A[OMEGA, OMEGA] += resists_less  # A t has the product of ease and omega once, its derivative twice
     P[:] = A @ P @ A.T
     for i in range(TURNS):
         P[i, i] += Q[i] * dt
