@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import itertools
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -78,3 +81,36 @@ def test_a_report_knows_the_drive_it_was_made_from(robot: str | None, short: Pat
     text = (tmp_path / "again.html").read_text(encoding="utf-8")
     assert "After: held out" in text
     assert "that it was not made from" not in text
+
+
+def test_what_calibrate_writes_is_all_old_or_all_new(
+    short: Path, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the robot of the new one has no use for a file of the old one."""
+    names = ("calibration.yaml", "ekf.yaml", "model.json", "p3at.txt", "report.html", "ros2_control.yaml")
+    for name in names:
+        (tmp_path / name).write_text("old", encoding="utf-8")
+    words = ("calibrate", short, "--model", "multiplier", "--vehicle", "husky-a200", "--out", tmp_path)
+    sync, full = os.fsync, itertools.chain([False] * 4, itertools.repeat(True))
+
+    def failing(file: int) -> None:
+        if next(full):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", failing)
+    code, out, err = call(*words)
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert "No space left on device" in err
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == dict.fromkeys(names, "old")
+    monkeypatch.setattr(os, "fsync", sync)
+    assert call(*words)[0] == 0
+    assert {p.name for p in tmp_path.iterdir()} == set(names) - {"p3at.txt"}
+    assert not any(p.read_text(encoding="utf-8") == "old" for p in tmp_path.iterdir())
+
+
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    code, _, err = call("reproduce", "giannoccaro2015", "--out", tmp_path / "file")
+    assert code == 1
+    assert err.endswith(f"{tmp_path / 'file'} is a file; choose another path\n")

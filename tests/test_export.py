@@ -210,12 +210,11 @@ def test_every_model_has_every_format(name: str) -> None:
         assert export.text(calibration, kind)
 
 
-def test_what_no_controller_can_is_refused_and_left_out(tmp_path: Path) -> None:
+def test_what_no_controller_can_is_refused_and_left_out() -> None:
     calibration = made(Linear(0.5, 0.5, 0.0, 0.0, 1.0, 2.0))
     with pytest.raises(RequestError, match="the linear model cannot be told by multipliers"):
         export.ros2_control(calibration)
-    assert export.write_all(calibration, tmp_path) == ()
-    assert not list(tmp_path.iterdir())
+    assert set(export.texts(calibration).values()) == {None}
 
 
 def test_the_calibration_file_keeps_what_the_controller_loses(calibrated: Calibration, tmp_path: Path) -> None:
@@ -233,12 +232,12 @@ def test_a_scheduled_model_is_forced_over_the_motions_of_its_drives(drive: Drive
     assert driven.projection != usual.projection
 
 
-def test_files_that_fit_are_written_beside_a_calibration(calibrated: Calibration, tmp_path: Path) -> None:
-    written = export.write_all(calibrated, tmp_path)
-    assert {p.name for p in written} == {"ros2_control.yaml", "ekf.yaml", "p3at.txt", "model.json"}
-    assert {p.name for p in tmp_path.iterdir()} == {p.name for p in written}
-    husky = replace(calibrated, vehicle=HUSKY, controller=None)
-    assert "p3at.txt" not in {p.name for p in export.write_all(husky, tmp_path)}
+def test_files_that_fit_stand_beside_a_calibration(calibrated: Calibration) -> None:
+    files = export.texts(calibrated)
+    assert set(files) == {"ros2_control.yaml", "ekf.yaml", "p3at.txt", "model.json"}
+    assert all(files.values())
+    husky = export.texts(replace(calibrated, vehicle=HUSKY, controller=None))
+    assert [name for name, content in husky.items() if content is None] == ["p3at.txt"]
 
 
 @pytest.fixture

@@ -105,6 +105,43 @@ def test_a_failed_write_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: p
     assert content(tmp_path) == {"file": "old"}
 
 
+def test_writes_files_that_belong_together(tmp_path: Path) -> None:
+    for name in ("a", "stale", "theirs"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / "a").chmod(0o640)
+    atomic.write_files(tmp_path, {"a": "1", "b": "2", "stale": None, "never": None})
+    assert content(tmp_path) == {"a": "1", "b": "2", "theirs": "old"}
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("failing", ["second file", "folder"])
+def test_of_files_that_belong_together_all_are_old_or_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    for name in ("a", "stale"):
+        (tmp_path / name).write_text("old")
+    message = f"cannot write {tmp_path}: No space left on device"
+    if failing == "folder":
+        (tmp_path / "b").mkdir()
+        message = f"cannot write {tmp_path / 'b'}: it is a folder"
+    sync, calls = os.fsync, iter([True, False])
+    monkeypatch.setattr(
+        os, "fsync", lambda f: sync(f) if next(calls) else _fail(OSError(28, "No space left on device"))()
+    )
+    with pytest.raises(DataError, match=message):
+        atomic.write_files(tmp_path, {"a": "new", "b": "new", "stale": None})
+    assert {p.name: p.read_text() for p in tmp_path.iterdir() if p.is_file()} == {"a": "old", "stale": "old"}
+
+
+def test_makes_a_folder_or_says_what_is_in_its_place(tmp_path: Path) -> None:
+    atomic.make_folder(tmp_path / "a" / "b")
+    atomic.make_folder(tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="file is a file; choose another path"):
+        atomic.make_folder(tmp_path / "file" / "b")
+
+
 def test_refused_permission_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "replace", _fail(PermissionError(13, "Permission denied")))
     with pytest.raises(DataError, match="permission denied; choose a place you may write to"):

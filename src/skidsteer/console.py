@@ -35,9 +35,9 @@ ERR = Console(stderr=True, highlight=False)
 
 @contextmanager
 def progress_bar() -> Iterator[Report]:
-    """A bar on standard error; the value is what reports to it: what is done, steps done, steps in all."""
+    """A bar on standard error, if that is a terminal; the value reports to it: what is done, steps done, steps in all."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=ERR, transient=True) as bar:
+    with Progress(*columns, TimeElapsedColumn(), console=ERR, transient=True, disable=not ERR.is_terminal) as bar:
         task = bar.add_task("reading", total=None)
 
         def report(what: str, done: int, total: int) -> None:

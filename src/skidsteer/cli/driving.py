@@ -66,7 +66,7 @@ def follow(
     from skidsteer.follow.run import summarize
     from skidsteer.follow.sensing import Sensing
     from skidsteer.follow.task import Belief, Task, believed, recorded_drive, run_task
-    from skidsteer.io.atomic import check_folder, write_text
+    from skidsteer.io.atomic import check_folder, write_files
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.folder import write_folder
     from skidsteer.terramechanics.terrain import parse_ground
@@ -104,9 +104,12 @@ def follow(
     )
     run = run_task(task)
     told, document = words.sentences(task, run, summarize(run)), documents.to_json(documents.follow_document(task, run))
+    files = {
+        "follow.json": document + "\n",
+        "follow.html": page(f"{task.vehicle.name} follows {path}", told, run, robot),
+        "way.svg": way(run),
+        "errors.svg": against_time(run, task.wheels.max_speed),
+    }
     write_folder(recorded_drive(out.name, task, run), folder(out) / "drive")
-    write_text(out / "follow.json", document + "\n")
-    write_text(out / "follow.html", page(f"{task.vehicle.name} follows {path}", told, run, robot))
-    write_text(out / "way.svg", way(run))
-    write_text(out / "errors.svg", against_time(run, task.wheels.max_speed))
+    write_files(out, files)
     typer.echo(document if json else "\n".join([*told, f"written: {out}"]))

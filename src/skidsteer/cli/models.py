@@ -176,11 +176,12 @@ def _write(
     surfaces: Sequence[SurfaceResult] = (),
     folds: Folds | None = None,
 ) -> None:
-    from skidsteer.export import write_all
-    from skidsteer.io.calibration_file import save_calibration
-    from skidsteer.report import gather, write_report
+    from skidsteer.export import texts
+    from skidsteer.io.atomic import write_files
+    from skidsteer.io.calibration_file import calibration_text
+    from skidsteer.report import gather, page
 
     if out is not None:
-        save_calibration(calibration, folder(out) / "calibration.yaml")
-        write_all(calibration, out)
-        write_report(gather(calibration, drives, surfaces, folds=folds), out / "report.html")
+        shown = page(gather(calibration, drives, surfaces, folds=folds))
+        files = {"calibration.yaml": calibration_text(calibration), "report.html": shown, **texts(calibration)}
+        write_files(folder(out), files)

@@ -43,12 +43,7 @@ def folder(path: Path) -> Path:
     Raises:
         DataError: it cannot be made, or not written to.
     """
-    from skidsteer.errors import DataError
-    from skidsteer.io.atomic import check_folder
+    from skidsteer.io.atomic import make_folder
 
-    check_folder(path)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be made a folder: {error.strerror or error}") from error
+    make_folder(path)
     return path

@@ -1,7 +1,7 @@
 """A calibration in the words of other software. A new format is one module and one line in ``FORMATS``."""
 
 from skidsteer.export.as_json import as_json
-from skidsteer.export.files import FORMATS, text, write_all
+from skidsteer.export.files import FORMATS, text, texts
 from skidsteer.export.forced import Forced, Measured, force
 from skidsteer.export.p3at import p3at
 from skidsteer.export.robot_localization import robot_localization
@@ -19,5 +19,5 @@ __all__ = [
     "robot_localization",
     "ros2_control",
     "text",
-    "write_all",
+    "texts",
 ]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 from skidsteer.calibration import Calibration
 from skidsteer.errors import RequestError
@@ -14,7 +12,6 @@ from skidsteer.export.p3at import p3at
 from skidsteer.export.robot_localization import robot_localization
 from skidsteer.export.ros2_control import ros2_control
 from skidsteer.export.settings import Settings
-from skidsteer.io.atomic import write_text
 
 FORMATS: dict[str, tuple[str, Callable[[Calibration, Settings, Forced], str]]] = {  # name: file, how it is made
     "ros2-control": ("ros2_control.yaml", ros2_control),
@@ -35,18 +32,12 @@ def text(calibration: Calibration, name: str, settings: Settings | None = None, 
     return FORMATS[name][1](calibration, settings or Settings(), forced or force(calibration))
 
 
-def write_all(calibration: Calibration, folder: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Write every format that fits model and robot into a folder that is there; the integers only of a P3-AT.
-
-    Raises:
-        DataError: a file cannot be written.
-    """
-    fitting = [n for n in FORMATS if n != "p3at" or "p3at" in calibration.vehicle.name.lower().replace("-", "")]
+def texts(calibration: Calibration) -> dict[str, str | None]:
+    """The file of every format; None where it does not fit the model, or the robot: integers are of a P3-AT."""
     try:
-        forced, settings = force(calibration), Settings()
+        forced = force(calibration)
     except RequestError:  # a model that no differential drive comes near
-        return ()
-    made = {Path(folder) / FORMATS[name][0]: text(calibration, name, settings, forced) for name in fitting}
-    for path, content in made.items():
-        write_text(path, content)
-    return tuple(made)
+        return {file: None for file, _ in FORMATS.values()}
+    is_p3at = "p3at" in calibration.vehicle.name.lower().replace("-", "")
+    fits = {name: name != "p3at" or is_p3at for name in FORMATS}
+    return {FORMATS[n][0]: text(calibration, n, forced=forced) if fit else None for n, fit in fits.items()}

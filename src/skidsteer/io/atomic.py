@@ -33,14 +33,39 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
         if _is_device(path):
             Path(path).write_bytes(data)
             return
-        target = Path(os.path.realpath(path))
-        temporary = _beside(target)
-        try:
+        _replace({Path(os.path.realpath(path)): data})
+
+
+def write_files(folder: str | os.PathLike[str], files: Mapping[str, str | None]) -> None:
+    """Write UTF-8 files (name -> text) that belong together into a folder that is there; None: no file of that name.
+
+    All are written beside their targets before the first is renamed: what fails earlier, a full disk or a missing
+    permission, leaves the old ones. What else the folder holds is left alone.
+
+    Raises:
+        DataError: the folder is missing or cannot be written to, or a folder has the name of a file.
+    """
+    with _plain_errors(folder):
+        texts = {Path(os.path.realpath(os.path.join(folder, name))): text for name, text in files.items()}
+        _replace({target: None if text is None else _encoded(text) for target, text in texts.items()})
+
+
+def _replace(contents: Mapping[Path, bytes | None]) -> None:
+    for target in contents:
+        if target.is_dir():
+            raise DataError(f"cannot write {target}: it is a folder; name a file in it, or move it away")
+    staged = {target: (_beside(target), data) for target, data in contents.items() if data is not None}
+    try:
+        for target, (temporary, data) in staged.items():
             _write_through(temporary, data)
             if target.is_file():
                 shutil.copymode(target, temporary)
+        for target, (temporary, _) in staged.items():
             os.replace(temporary, target)
-        finally:
+        for target in contents.keys() - staged.keys():
+            target.unlink(missing_ok=True)
+    finally:
+        for temporary, _ in staged.values():
             temporary.unlink(missing_ok=True)
 
 
@@ -67,6 +92,17 @@ def write_folder(path: str | os.PathLike[str], files: Mapping[str, str]) -> None
                 os.rename(old, target)
             shutil.rmtree(temporary, ignore_errors=True)
             shutil.rmtree(old, ignore_errors=True)
+
+
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder that can be written to, with those it lies in, unless it is there.
+
+    Raises:
+        DataError: as ``check_folder``, or it cannot be made.
+    """
+    check_folder(path)
+    with _plain_errors(path):
+        Path(path).mkdir(parents=True, exist_ok=True)
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:

@@ -9,9 +9,9 @@ from importlib import import_module
 from pathlib import Path
 
 from skidsteer.drive import Drive
-from skidsteer.errors import DataError, RequestError
+from skidsteer.errors import RequestError
 from skidsteer.figures.sheet import style
-from skidsteer.io.atomic import write_text
+from skidsteer.io.atomic import make_folder, write_text
 from skidsteer.io.drives import load_drive
 from skidsteer.reproduce.figure import draw
 from skidsteer.reproduce.markdown import document
@@ -113,10 +113,7 @@ def prepare(folder: Path) -> None:
         DataError: it cannot be made.
         RequestError: matplotlib is not installed.
     """
-    try:
-        (folder / "figures").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be made a folder: {error.strerror or error}") from error
+    make_folder(folder / "figures")
     with style():
         pass
 
