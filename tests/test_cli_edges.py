@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import errno
+import io
 import itertools
 import json
+import logging
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from conftest import Call
+from conftest import Call, Run
 from skidsteer import calibrate
-from skidsteer.io.calibration_file import save_calibration
+from skidsteer.cli import OneLine
+from skidsteer.console import escape
+from skidsteer.documents import to_json
+from skidsteer.errors import printable
+from skidsteer.io.calibration_file import load_calibration, save_calibration
 from skidsteer.io.drives import load_drive
 from skidsteer.io.folder import write_folder
+from skidsteer.io.vehicle_file import vehicle_text
 from skidsteer.samples import sample
 from skidsteer.vehicle import preset
 
@@ -114,3 +123,90 @@ def test_a_file_in_the_place_of_a_folder_is_named(tmp_path: Path, call: Call) ->
     code, _, err = call("reproduce", "giannoccaro2015", "--out", tmp_path / "file")
     assert code == 1
     assert err.endswith(f"{tmp_path / 'file'} is a file; choose another path\n")
+
+
+ODD = "a\x1b[31m\x9b2J\u202e\u2028[red]\nZ\\"  # colours, clears, turns round, breaks the line
+
+
+def harmless(text: str) -> bool:
+    return printable(text.replace("\n", "")) == text.replace("\n", "")
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive, its robot, and a calibration of it, in all of whose names are orders to a terminal."""
+    made = sample("p3at-mandow").between(0.0, 40.0)
+    robot = replace(preset("pioneer-p3at"), name=ODD, source=ODD)
+    folder = tmp_path_factory.mktemp("odd")
+    write_folder(replace(made, vehicle=robot), folder / ODD)
+    (folder / "robot.yaml").write_text(vehicle_text(robot), encoding="utf-8")
+    known = calibrate(load_drive(folder / ODD), "multiplier")
+    estimates = {name: replace(e, unit=ODD) for name, e in known.estimates.items()}
+    told = replace(known, estimates=estimates, selected_because=ODD, warnings=(ODD,), profiles={})
+    save_calibration(replace(told, profiles={ODD: told}), folder / "calibration.yaml")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "calibrate {drive} --model multiplier",
+        "calibrate {drive} --model multiplier --json",
+        "evaluate calibration.yaml {drive}",
+        "evaluate calibration.yaml {drive} --json",
+        "check {drive}",
+        "check {drive} --json",
+        "odometry calibration.yaml {drive} --out x.tum",
+        "export calibration.yaml --to ros2-control",
+        "export calibration.yaml --to robot-localization",
+        "export calibration.yaml --to json",
+        "plan --calibration calibration.yaml --obstacle 0.7x1.2 --clearance 0.3 --out x",
+        "follow --path line --size 3 --speed 0.4 --calibration calibration.yaml --out x",
+        "follow --path line --size 3 --speed 0.4 --vehicle robot.yaml --out x --json",
+        "evaluate calibration.yaml {drive} --profile no",
+        "calibrate {drive} sample:rover-circles",
+        "compare no{drive}",
+    ],
+)
+def test_no_name_is_an_order_to_the_terminal(
+    words: str, odd: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(odd)
+    _, out, err = call(*(word.format(drive=ODD) for word in words.split(" ")))
+    assert out + err
+    assert harmless(out)
+    assert harmless(err)
+    assert "\nZ" not in out + err
+    if "--json" in words:
+        assert repr(ODD)[1:-1] in str(json.loads(out))
+
+
+def test_no_name_breaks_a_table_or_is_markup() -> None:
+    shown = Console(highlight=False, width=200, file=io.StringIO(), force_terminal=True, color_system="truecolor")
+    shown.print(f"[bold]{escape(ODD)}[/bold] end")
+    assert isinstance(shown.file, io.StringIO)
+    assert shown.file.getvalue() == "\x1b[1ma?[31m?2J??[red]?Z\\\x1b[0m end\n"
+
+
+def test_names_are_harmless_in_pages_and_files(odd: Path, tmp_path: Path, call: Call) -> None:
+    assert call("report", odd / "calibration.yaml", odd / ODD, "--out", tmp_path / "r.html")[0] == 0
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    body = page[: page.index('<script type="application/json"')]
+    assert "a?[31m?2J??[red]" in body
+    assert harmless(body)
+    known = load_calibration(odd / "calibration.yaml")
+    assert (known.vehicle.name, known.warnings, list(known.profiles)) == (ODD, (ODD,), [ODD])
+    assert harmless((odd / ODD / "vehicle.yaml").read_text(encoding="utf-8"))
+
+
+def test_a_log_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    record = logging.LogRecord("skidsteer", logging.INFO, "", 0, "%s: wheels", (ODD,), None)
+    assert OneLine().format(record) == "a?[31m?2J??[red]?Z\\: wheels"
+
+
+def test_names_that_no_encoding_holds_are_told_escaped(tmp_path: Path, run: Run) -> None:
+    folder = tmp_path / os.fsdecode(b"r\xc3\xb6hre\xff")
+    done = run("sample", "p3at-mandow", "--out", folder, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("r\\xf6hre?\n")
+    assert to_json({"drive": folder.name}) == '{\n  "drive": "röhre\\udcff"\n}'

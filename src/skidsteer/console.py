@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
+from rich.markup import escape as without_markup
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import EXCITATION, Finding
 from skidsteer.drive import Drive
+from skidsteer.errors import printable
 from skidsteer.evaluation import Evaluation
 from skidsteer.identify.calibrate import Progress as Report
 from skidsteer.identify.circle_calibration import CircleCalibration
@@ -33,9 +34,14 @@ OUT = Console(highlight=False)
 ERR = Console(stderr=True, highlight=False)
 
 
+def escape(text: str) -> str:
+    """Text from a file as it is: on one line, without markup, and nothing in it that a terminal would obey."""
+    return without_markup(printable(text))
+
+
 @contextmanager
 def progress_bar() -> Iterator[Report]:
-    """A bar on standard error, if that is a terminal; the value reports to it: what is done, steps done, steps in all."""
+    """A bar on standard error, if that is a terminal; the value reports to it: what, steps done, steps in all."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=ERR, transient=True, disable=not ERR.is_terminal) as bar:
         task = bar.add_task("reading", total=None)
@@ -154,7 +160,7 @@ def _as_multipliers(held_out: HeldOut) -> str:
 def _parameters(calibration: Calibration) -> Table:
     table = Table("parameter", "value", "+- sigma", "unit", "", box=None, pad_edge=False)
     for name, e in (calibration.parameters | calibration.nuisance).items():
-        table.add_row(escape(name), *_numbers(e), e.unit, "" if e.determined else "[red]not determined[/red]")
+        table.add_row(escape(name), *_numbers(e), escape(e.unit), "" if e.determined else "[red]not determined[/red]")
     for column in table.columns[1:3]:
         column.justify = "right"
     return table

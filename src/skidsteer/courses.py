@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from skidsteer import console
+from skidsteer.console import escape
 from skidsteer.identify.design import Design
 from skidsteer.plan.circumnavigation import Plan
 

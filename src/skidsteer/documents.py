@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ import numpy as np
 from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
 from skidsteer.doctor import Finding
 from skidsteer.drive import Drive
+from skidsteer.errors import printable
 from skidsteer.evaluation import Evaluation
 from skidsteer.follow.run import Run, summarize
 from skidsteer.follow.task import Task
@@ -308,8 +310,9 @@ def _held_out(figures: HeldOut) -> Document:
 
 
 def to_json(document: Document) -> str:
-    """Strict JSON of a document."""
-    return json.dumps(_finite(document), indent=2, allow_nan=False, ensure_ascii=False)
+    """Strict JSON of a document, in which no character is an order to a terminal."""
+    text = json.dumps(_finite(document), indent=2, allow_nan=False, ensure_ascii=False)
+    return re.sub(r"[^ -~\n]", lambda c: c[0] if printable(c[0]) == c[0] else json.dumps(c[0])[1:-1], text)
 
 
 def _finite(value: Any) -> Any:

@@ -1,4 +1,8 @@
-"""What can be wrong with a user's data or request; each message names the fact and the cure."""
+"""What can be wrong with a user's data or request; each message names the fact and the cure, on one line."""
+
+from __future__ import annotations
+
+import unicodedata
 
 
 class SkidSteerError(Exception):
@@ -11,3 +15,8 @@ class DataError(SkidSteerError):
 
 class RequestError(SkidSteerError):
     """A request that the given data or model cannot serve."""
+
+
+def printable(text: str) -> str:
+    """Text from a file that may be shown: line breaks, control, escape and direction marks become question marks."""
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else "?" for c in text)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import os
 import sys
 
@@ -19,17 +21,30 @@ from skidsteer.cli import (  # noqa: F401  (each adds its commands)
 from skidsteer.cli.words import app
 
 
+class OneLine(logging.Formatter):
+    """Messages alone, in which no name from a file is an order to the terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The message of a record."""
+        from skidsteer.errors import printable
+
+        return printable(record.getMessage())
+
+
 def main() -> None:
     """Run the command line; what is the user's to mend ends as one line and exit code 1."""
-    import logging
+    from skidsteer.errors import SkidSteerError, printable
 
-    from skidsteer.errors import SkidSteerError
-
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # no name in a file is one that cannot be told
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(OneLine())
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     try:
         app()
     except SkidSteerError as error:
-        typer.echo(f"skidsteer: {' '.join(str(error).split())}", err=True)
+        typer.echo(f"skidsteer: {printable(' '.join(str(error).split()))}", err=True)
         sys.exit(1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -8,6 +8,8 @@ from typing import Any
 
 import yaml
 
+from skidsteer.errors import printable
+
 WIDTH = 100
 
 
@@ -21,11 +23,6 @@ def comment(*paragraphs: str) -> str:
         is_row = not paragraph or paragraph.startswith(" ")
         lines += [paragraph] if is_row else textwrap.wrap(paragraph, WIDTH - 2, break_long_words=False)
     return "".join(f"# {line}".rstrip() + "\n" for line in lines)
-
-
-def printable(text: str) -> str:
-    """The text on one line: line breaks of all kinds, control characters and lone surrogates are replaced."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def mapping(content: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from skidsteer.errors import printable
 from skidsteer.follow.picture import thin
 from skidsteer.follow.run import Run
 from skidsteer.vehicle import Vehicle
@@ -32,8 +33,8 @@ def page(title: str, sentences: Sequence[str], run: Run, vehicle: Vehicle) -> st
     """
     text = files("skidsteer.follow").joinpath("animation.html").read_text(encoding="utf-8")
     parts = {
-        "TITLE": html.escape(title),
-        "SENTENCES": "\n".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences),
+        "TITLE": html.escape(printable(title)),
+        "SENTENCES": "\n".join(f"<p>{html.escape(printable(sentence))}</p>" for sentence in sentences),
         "DATA": embedded(_data(run, vehicle)),
     }
     return re.sub("@(TITLE|SENTENCES|DATA)@", lambda mark: parts[mark[1]], text)

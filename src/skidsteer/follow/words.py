@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Sequence
 
 from skidsteer.calibration import Calibration
-from skidsteer.errors import RequestError
+from skidsteer.errors import RequestError, printable
 from skidsteer.evaluation import differ, measures
 from skidsteer.follow.run import Run, Summary
 from skidsteer.follow.sensing import Jump, Triple
@@ -132,7 +132,7 @@ def sentences(task: Task, run: Run, found: Summary) -> Sequence[str]:
     laps = f", {found.laps:.2f} laps" if run.path.closed else ""
     energy = "" if found.energy is None else f", {found.energy:.0f} J by the rims"
     limit = task.wheels.max_speed
-    return (
+    told = (
         f"{task.vehicle.name} on {task.plant}, by {task.law}: {found.outcome}; {found.reason}.",
         f"believed: {task.belief.model.NAME}, from {task.belief.source}",
         f"driven: {found.way:.2f} m of the path in {found.duration:.2f} s{laps}; mean speed {found.speed:.2f} m/s",
@@ -140,3 +140,4 @@ def sentences(task: Task, run: Run, found: Summary) -> Sequence[str]:
         f" RMS {100.0 * found.rms:.1f} cm; heading RMS {math.degrees(found.heading_rms):.1f} deg",
         f"wheels: fastest {found.fastest:.2f} of {limit:g} m/s, effort {found.effort:.2f} m/s^2{energy}",
     )
+    return tuple(map(printable, told))

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from skidsteer.errors import printable
+
 
 class Html(str):
     """Text that is markup already; any other string is escaped where it is put in."""
@@ -27,7 +29,7 @@ def tag(name: str, /, *content: Content, **attributes: str | bool | None) -> Htm
         if value is None or value is False:
             continue
         word = key.rstrip("_").replace("_", "-")
-        head += f" {word}" if value is True else f' {word}="{html.escape(str(value), quote=True)}"'
+        head += f" {word}" if value is True else f' {word}="{html.escape(printable(str(value)), quote=True)}"'
     inside = markup(content)
     return Html(f"<{head}>" if name in ("meta", "br", "input", "hr") else f"<{head}>{inside}</{name}>")
 
@@ -39,7 +41,7 @@ def markup(content: Content) -> Html:
     if isinstance(content, Html):
         return content
     if isinstance(content, str):
-        return Html(html.escape(content, quote=False))
+        return Html("\n".join(chart_text(line) for line in content.split("\n")))
     return Html("".join(markup(part) for part in content))
 
 
@@ -90,8 +92,8 @@ def plain(value: Any) -> Any:
 
 
 def chart_text(text: str) -> str:
-    """Text for a chart, whose labels take markup: escaped."""
-    return html.escape(text, quote=False)
+    """A line of text for a chart, whose labels take markup: escaped, and without marks that turn or hide others."""
+    return html.escape(printable(text), quote=False)
 
 
 def figure(value: float, digits: int = 2, unit: str = "") -> str:
