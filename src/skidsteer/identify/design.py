@@ -34,7 +34,7 @@ from skidsteer.windows import Timing
 REST = 1.0  # [s] before and after
 ROBOTS = 12  # possible robots that every single figure must fit
 STRETCH = 1.1  # that straights, planned to the very end of the room, may exceed it by
-DRIFT = 0.2  # share of the room that a figure may end away from its start
+DRIFT = 0.3  # share of the room that a figure may end away from its start
 ENOUGH = 0.45  # no parameter should keep more than this share of the sigma that an unplanned drive leaves
 ENOUGH_TIMING = 1.5  # the same of lag and time offset
 DRIVERS = 5  # unplanned drives to compare with

@@ -26,7 +26,7 @@ from skidsteer.windows import Timing, Windows, predict
 
 EXCHANGES = 200  # at most: each raises the criterion
 CLOSEST = 3  # figures tried in the place of another
-STRICTNESS = 10.0
+STRICTNESS = 100.0  # a hundredth of the worst share weighs as much as one of log det
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +87,14 @@ class Choice:
     enough: FloatArray  # (f,) sigmas: nothing should be left worse known than that
 
     def worth(self, information: FloatArray) -> FloatArray:
-        """Criterion (...) of information (..., f, f): log det, less ``STRICTNESS`` times what is missing to ``enough``.
+        """Criterion (...) of information (..., f, f): log det, less ``STRICTNESS`` times what misses ``enough`` most.
 
-        D-optimality alone gives up a parameter that is dear for others that are cheap.
+        D-optimality alone gives up a parameter that is dear for others that are cheap. So does the sum of what is
+        missing, where two parameters are dear and three are cheap: the worst one alone counts.
         """
         H = information + np.diag(self.prior)
         sigma = np.sqrt(np.diagonal(np.linalg.inv(H), axis1=-2, axis2=-1))
-        missing = np.log(np.maximum(sigma / self.enough, 1.0)).sum(axis=-1)
+        missing = np.log(np.maximum(sigma / self.enough, 1.0)).max(axis=-1)
         return np.asarray(log_det(H) - STRICTNESS * missing)
 
     def of(self, chosen: Sequence[int]) -> float:

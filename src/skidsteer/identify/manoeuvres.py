@@ -23,15 +23,9 @@ PERIOD = 0.05  # [s] of the commands
 WALKING = 1.5  # [m/s] the pace of someone who walks beside the robot, a hand at the stop button
 LATERAL = 0.5  # [m/s^2] speed times yaw rate, up to which constant ICRs hold well enough
 LEVELS = (1.0, 0.6, 0.3)  # of the highest speed that a figure allows
-SHARPNESS = (
-    0.25,
-    0.5,
-    1.0,
-    1.5,
-    2.0,
-    3.0,
-    4.0,
-)  # radii of arcs over the expected ICR distance; at 0.5 the inner side rests
+SWINGS = (2, 4, 8)  # to and fro on the fastest straight before the robot stops in the middle again
+# radii of arcs over the expected ICR distance; at 0.5 the inner side rests
+SHARPNESS = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 SWEEPS = (np.pi / 4, np.pi / 2, np.pi, 2 * np.pi, 4 * np.pi)  # [rad] of arcs
 TURNS = (1.0, 2.0)  # on the spot
 SETTLED = 20  # steps towards the highest speed that the rims allow
@@ -145,8 +139,10 @@ class Figure:
     def words(self) -> str:
         """What it is, for people."""
         first = self.parts[0].words()
-        if len(self.parts) == 3:
-            return f"{first}, back through the middle to the other end, and to the middle"
+        if len(self.parts) % 2:
+            swings = len(self.parts) // 2
+            often = f", {swings} times to and fro," if swings > 1 else ","
+            return f"{first}, back through the middle to the other end{often} and to the middle"
         return f"{first}, and back" + ("; the same backwards about the right" if len(self.parts) == 4 else "")
 
     def profile(self, acceleration: float) -> FloatArray:
@@ -171,9 +167,9 @@ def library(model: Model, limits: Limits, reach: float) -> list[Figure]:
     """
     turn = model.wheel_speeds(0.0, 1.0)
     width = float(turn[1] - turn[0])  # ICR distance
-    out = []
+    out = [_shuttle(_held(model, limits, 1.0, 0.0, 1.0, reach), swings) for swings in SWINGS]
     for level in LEVELS:
-        out += [_shuttle(_held(model, limits, 1.0, 0.0, level, share * reach)) for share in (1.0, 0.5)]
+        out += [_shuttle(_held(model, limits, 1.0, 0.0, level, share * reach), 1) for share in (1.0, 0.5)]
         for turns in TURNS:
             sides = (_held(model, limits, 0.0, side, level, 2.0 * np.pi * turns) for side in (1.0, -1.0))
             out += [Figure.retraced(part) for part in sides]
@@ -182,9 +178,10 @@ def library(model: Model, limits: Limits, reach: float) -> list[Figure]:
     return [figure for figure in out if all(np.isfinite(part.rims).all() for part in figure.parts)]
 
 
-def _shuttle(run: Manoeuvre) -> Figure:
-    """To the far end, all the way to the other one, and to the middle again."""
-    return Figure((run, replace(run.back(), duration=2.0 * run.duration), run))
+def _shuttle(run: Manoeuvre, swings: int) -> Figure:
+    """To the far end, all the way to the other one and back ``swings`` times less a half, and to the middle again."""
+    whole = replace(run, duration=2.0 * run.duration)
+    return Figure((run, *([whole.back(), whole] * swings)[:-1], run))
 
 
 def _both_sides(model: Model, arc: Manoeuvre) -> Figure:
