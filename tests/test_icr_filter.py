@@ -412,3 +412,16 @@ def test_states_cannot_be_changed() -> None:
     for array in (state.mean, state.covariance, state.memory):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
+
+
+def test_a_covariance_that_was_turned_is_one() -> None:
+    """Turned by any angle, equal variances leave off its diagonal what rounding leaves, not twice the same."""
+    f = make_filter()
+    for angle in np.linspace(-3.0, 3.0, 50):
+        c, s = math.cos(angle), math.sin(angle)
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        state = f.start(0.0, POSE, R @ np.diag([1e-4, 1e-4, 1e-5]) @ R.T)
+        assert_allclose(state.pose_covariance, np.diag([1e-4, 1e-4, 1e-5]), atol=1e-18)
+        assert_allclose(state.pose_covariance, state.pose_covariance.T, atol=0.0)
+    with pytest.raises(DataError, match="finite and symmetric"):
+        f.start(0.0, POSE, [[1e-4, 1e-8, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-5]])

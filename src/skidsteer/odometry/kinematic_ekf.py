@@ -43,7 +43,7 @@ from skidsteer.kernels import thalmann as kernels
 from skidsteer.models.transfer_factor import TransferFactor
 from skidsteer.odometry.compatibility import threshold
 from skidsteer.odometry.reference_update import Moving, updated
-from skidsteer.odometry.state import FilterState, Innovation, Measurement, fingerprint, refuse_foreign
+from skidsteer.odometry.state import FilterState, Innovation, Measurement, fingerprint, refuse_foreign, symmetric
 from skidsteer.odometry.state_choice import MOTION, Choice, SystemNoise, rims, unit_variance
 from skidsteer.se2 import FloatArray
 
@@ -136,8 +136,9 @@ class KinematicEkf:
         pose, P = np.asarray(pose, dtype=float), np.asarray(covariance, dtype=float)
         if pose.shape != (3,) or P.shape != (3, 3) or not np.isfinite([time, *pose, *P.ravel()]).all():
             raise DataError(f"a start needs a finite time, x, y and yaw and their covariance, got {time}, {pose}, {P}")
-        if not np.array_equal(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.trace(P):
-            raise DataError(f"the covariance of the start must be symmetric and nowhere negative, got {P.tolist()}")
+        P = symmetric("start", P)
+        if np.linalg.eigvalsh(P)[0] < -1e-12 * np.trace(P):
+            raise DataError(f"the covariance of the start must be nowhere negative, got {P.tolist()}")
         first = [getattr(self.model, name) for name in self.estimated]
         spread = [*START_SPEED**2 * self._unit_variance(), *(PRIOR[name] ** 2 for name in self.estimated)]
         full = np.diag(np.r_[np.zeros(3), spread])

@@ -19,6 +19,7 @@ from skidsteer.windows import Mount
 
 ORIGIN = Mount()
 SAME_TIME = 1e-6  # [s] two times within this are one
+ROUNDING = 1e-9  # of both sigmas, by which a covariance may be off its mirror image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,17 +156,28 @@ def refuse_foreign(state: FilterState, expected: str) -> None:
         )
 
 
+def symmetric(what: str, covariance: ArrayLike) -> FloatArray:
+    """A covariance (n, n) as an array of its own, freed of what rounding left, as where it was turned.
+
+    Raises:
+        DataError: not square, not finite, or not symmetric.
+    """
+    P = np.array(covariance, dtype=float)
+    if P.ndim != 2 or P.shape[0] != P.shape[1]:
+        raise DataError(f"{what}: a covariance is square, got shape {P.shape}")
+    sigma = np.sqrt(np.abs(np.diag(P)))
+    if not (np.isfinite(P).all() and (np.abs(P - P.T) <= ROUNDING * np.outer(sigma, sigma)).all()):
+        raise DataError(f"{what}: the covariance must be finite and symmetric")
+    return np.asarray(0.5 * (P + P.T))
+
+
 def refuse_indefinite(what: str, covariance: ArrayLike) -> FloatArray:
     """A covariance (n, n) as an array of its own, if it is one.
 
     Raises:
         DataError: not square, not finite, not symmetric, or not positive definite.
     """
-    P = np.array(covariance, dtype=float)
-    if P.ndim != 2 or P.shape[0] != P.shape[1]:
-        raise DataError(f"{what}: a covariance is square, got shape {P.shape}")
-    if not (np.isfinite(P).all() and (np.abs(P - P.T) <= 1e-9 * np.abs(P)).all()):
-        raise DataError(f"{what}: the covariance must be finite and symmetric")
+    P = symmetric(what, covariance)
     try:
         np.linalg.cholesky(P)
     except np.linalg.LinAlgError:
