@@ -304,6 +304,14 @@ def test_bad_input() -> None:
         replay(f, state, Series([0.5], [[0.0, 0.0]]))
 
 
+def test_a_measurement_of_another_time_is_refused_at_stamps_since_1970_too() -> None:
+    f = truth("basic")
+    state = f.start(1.7e9, [0.1, 0.2, 0.3], 0.5 * np.eye(3))
+    f.update(state, Position(1.7e9, np.zeros(2), np.eye(2)))
+    with pytest.raises(DataError, match="predict first"):
+        f.update(state, Position(1.7e9 + 0.5, np.zeros(2), np.eye(2)))
+
+
 def test_bad_options() -> None:
     with pytest.raises(RequestError, match="no filter 'ukf'; there are: basic, arc"):
         thalmann_filter("ukf", 0.6)

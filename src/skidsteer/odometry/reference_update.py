@@ -9,6 +9,7 @@ import numpy as np
 from skidsteer.errors import DataError
 from skidsteer.odometry.compatibility import statistic, threshold
 from skidsteer.odometry.state import (
+    SAME_TIME,
     FilterState,
     Innovation,
     Measurement,
@@ -59,7 +60,7 @@ def updated(state: FilterState, moving: Moving, seen: Measurement, gate: float) 
     Raises:
         DataError: the measurement holds at another time, is not finite, or its covariance not positive definite.
     """
-    if not abs(seen.time - state.time) <= 1e-9 * max(1.0, abs(state.time)):
+    if not abs(seen.time - state.time) <= SAME_TIME:
         raise DataError(f"the measurement holds at {seen.time} s, the state at {state.time} s; predict first")
     d, H, R = innovation(state, moving, seen)
     if not np.isfinite(d).all():
