@@ -8,8 +8,10 @@ import itertools
 import json
 import logging
 import os
+import re
 import shutil
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -17,7 +19,8 @@ from rich.console import Console
 
 from conftest import Call, Run
 from skidsteer import calibrate
-from skidsteer.cli import OneLine
+from skidsteer.cli import ORDER, OneLine
+from skidsteer.cli import words as told_words
 from skidsteer.console import escape
 from skidsteer.documents import to_json
 from skidsteer.errors import printable
@@ -25,8 +28,12 @@ from skidsteer.io.calibration_file import load_calibration, save_calibration
 from skidsteer.io.drives import load_drive
 from skidsteer.io.folder import write_folder
 from skidsteer.io.vehicle_file import vehicle_text
+from skidsteer.models import MODELS
+from skidsteer.odometry.filters import FILTERS
 from skidsteer.samples import sample
-from skidsteer.vehicle import preset
+from skidsteer.sources import VEHICLES
+from skidsteer.terramechanics.terrain import TERRAINS
+from skidsteer.vehicle import PRESETS, preset
 
 
 @pytest.fixture(scope="module")
@@ -210,3 +217,33 @@ def test_names_that_no_encoding_holds_are_told_escaped(tmp_path: Path, run: Run)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith("röhre?\n")
     assert to_json({"drive": folder.name}) == '{\n  "drive": "röhre\\udcff"\n}'
+
+
+def test_help_tells_every_name_there_is() -> None:
+    """As text, since help must not wait for the packages that know them."""
+    told = {
+        told_words.MODELS: MODELS,
+        told_words.FILTERS: FILTERS,
+        told_words.TERRAINS: TERRAINS,
+        VEHICLES: sorted(PRESETS),
+    }
+    for text, names in told.items():
+        assert text.split(", ") == list(names)
+
+
+def test_the_commands_are_told_in_order_and_in_full(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = call("--help")
+    lines = out[out.index("Commands:") :].splitlines()[1:]
+    assert code == 0
+    assert tuple(line.split()[0] for line in lines) == ORDER
+    assert not any(line.endswith("...") for line in lines)
+    assert call("--version") == (0, f"skidsteer {metadata.version('skidsteer')}\n", "")
+
+
+@pytest.mark.parametrize("command", ORDER)
+def test_no_option_tells_a_type_of_the_language(command: str, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    _, out, _ = call(command, "--help")
+    options = out[out.index("Options:") :]
+    assert not re.search(r"<(str|int|float|path|list|int range)", options)

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+VEHICLES = "husky-a200, jackal, panther, pioneer-p3at, rover-4wd1, scout-2.0, summit-xl, warthog"
+
 SOURCE_OPTIONS = {
-    "vehicle": ("NAME|FILE", "preset or YAML file with the robot's measures"),
+    "vehicle": ("NAME|FILE", f"{VEHICLES}, or YAML file with the robot's measures; default: written beside the drive"),
     "wheels_topic": ("TOPIC", "of a bag: joint states, odometry or a twist of the wheels"),
     "reference_topic": ("TOPIC", "of a bag: reference pose, position or /tf"),
     "imu_topic": ("TOPIC", "of a bag: gyro"),

@@ -20,6 +20,12 @@ from skidsteer.cli import (  # noqa: F401  (each adds its commands)
 )
 from skidsteer.cli.words import app
 
+ORDER = (  # as a user comes to need them
+    *("calibrate", "check", "evaluate", "compare", "report", "export", "odometry", "terrains"),
+    *("design", "simulate", "plan", "follow", "sample", "figure", "reproduce"),
+)
+app.registered_commands.sort(key=lambda command: ORDER.index(command.callback.__name__ if command.callback else ""))
+
 
 class OneLine(logging.Formatter):
     """Messages alone, in which no name from a file is an order to the terminal."""

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from skidsteer.cli.words import DRIVE_HELP, Json, Profile, app, folder
-from skidsteer.sources import Source, on_drives
+from skidsteer.cli.words import DRIVE_HELP, FILTERS, TERRAINS, Json, Profile, Seed, app, folder
+from skidsteer.sources import VEHICLES, Source, on_drives
 
 
 @app.command()
@@ -18,9 +18,9 @@ def design(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="write commands.csv, path.csv and path.svg there")],
     vehicle: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="preset or YAML file; default: the calibration's")
+        str | None, typer.Option(metavar="NAME|FILE", help=f"{VEHICLES}, or YAML file; default: the calibration's")
     ] = None,
-    minutes: Annotated[float, typer.Option(help="how long to drive")] = 3.0,
+    minutes: Annotated[float, typer.Option(metavar="MIN", help="how long to drive [min]")] = 3.0,
     model: Annotated[
         str | None, typer.Option(metavar="NAME", help="to determine; default: the calibration's, or scheduled_icr")
     ] = None,
@@ -35,10 +35,10 @@ def design(
     max_acceleration: Annotated[float, typer.Option(metavar="M/S2", help="of the wheels")] = 1.5,
     max_lateral: Annotated[float, typer.Option(metavar="M/S2", help="speed times yaw rate")] = 0.5,
     margin: Annotated[float, typer.Option(metavar="M", help="to keep from the edge of the area")] = 0.25,
-    seed: Annotated[int, typer.Option(min=0, help="of the robots and drivers imagined")] = 0,
+    seed: Annotated[int, Seed] = 0,
     json: Json = False,
 ) -> None:
-    """The drive that determines a model best, as a table of commands, and the sigmas that it will give."""
+    """Choose the drive that tells most of a robot. A table of commands, and the sigmas that it will give."""
     from skidsteer import console, courses, documents
     from skidsteer.identify.design import design_drive, make_request
     from skidsteer.identify.excursion import footprint_radius
@@ -74,7 +74,9 @@ def odometry(
     drive: Annotated[list[str], typer.Argument(metavar="DRIVE", help=DRIVE_HELP)],
     source: Source,
     out: Annotated[Path, typer.Option(metavar="FILE", help="trajectory of base_link to write, TUM format")],
-    filter: Annotated[str, typer.Option("--filter", metavar="NAME", help="how poses are estimated")] = "icr",
+    filter: Annotated[
+        str, typer.Option("--filter", metavar="NAME", help=f"how poses are estimated: {FILTERS}")
+    ] = "icr",
     covariance: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV to write covariances to")] = None,
     smooth: Annotated[bool, typer.Option("--smooth", help="each pose given the whole drive")] = False,
     no_reference: Annotated[bool, typer.Option("--no-reference", help="take it to judge by only")] = False,
@@ -87,7 +89,7 @@ def odometry(
     profile: Profile = None,
     json: Json = False,
 ) -> None:
-    """Where the robot drove: a trajectory with covariance, from wheels, and gyro and reference where they are there."""
+    """Where a robot drove: a trajectory with covariance. From wheels, gyro and reference, as they are there."""
     from skidsteer import console, documents
     from skidsteer.evaluation import other_robots
     from skidsteer.io.atomic import check_file
@@ -114,7 +116,7 @@ def odometry(
 
 @app.command()
 def sample(
-    name: Annotated[str | None, typer.Argument(help="which; none: list them")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="which; none: list them")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write")] = None,
 ) -> None:
     """List the embedded drives, or write one as a drive folder."""
@@ -134,17 +136,26 @@ def sample(
 
 @app.command()
 def simulate(
-    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="preset or YAML file with the robot's measures")],
+    vehicle: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help=f"{VEHICLES}, or YAML file with the robot's measures")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="drive folder to write")],
     commands: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="CSV: t with v, omega or v_left, v_right")
+        Path | None, typer.Option(metavar="FILE", help="CSV: t [s] with v, omega or v_left, v_right [m/s, rad/s]")
     ] = None,
-    manoeuvre: Annotated[str | None, typer.Option(metavar="S,V,OMEGA:...", help="instead: one after the other")] = None,
+    manoeuvre: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S,V,OMEGA:...", help="instead: one after the other [s, m/s, rad/s], such as 8,0.5,0:6,0,0.8"
+        ),
+    ] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "terramechanic",
-    terrain: Annotated[str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")] = "lab",
-    seed: Annotated[int, typer.Option(min=0, help="of the sensors' noise")] = 0,
+    terrain: Annotated[
+        str, typer.Option(metavar="NAME[,NAME@S...]", help=f"{TERRAINS}; and others from a time [s] on")
+    ] = "lab",
+    seed: Annotated[int, Seed] = 0,
 ) -> None:
-    """Drive a simulated robot over a ground and write what its sensors record as a drive folder."""
+    """Drive a simulated robot and write what its sensors record. As a drive folder."""
     from skidsteer import plants
     from skidsteer.errors import RequestError
     from skidsteer.io.commands import parse_manoeuvres, read_commands

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from skidsteer.cli.words import Json, Profile, app, folder
+from skidsteer.cli.words import TERRAINS, Json, Profile, Seed, app, folder
+from skidsteer.sources import VEHICLES
 
 
 @app.command()
@@ -19,32 +20,35 @@ def follow(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="write drive/, follow.json, follow.html, way.svg, errors.svg there")
     ],
-    speed: Annotated[float, typer.Option(metavar="M/S", help="asked for")] = 1.0,
+    speed: Annotated[float, typer.Option(metavar="M/S", help="asked for [m/s]")] = 1.0,
     controller: Annotated[
         str, typer.Option(metavar="NAME", help="huskic, soetanto, pentzer, pure_pursuit or predictive")
     ] = "huskic",
     gains: Annotated[
-        str | None, typer.Option(metavar="NAME", help="of the controller, such as header; none: its usual ones")
+        str | None,
+        typer.Option(metavar="NAME", help="of the controller; default: as it is launched, a wrong one lists them"),
     ] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "kinematic",
     terrain: Annotated[
-        str, typer.Option(metavar="NAME[,NAME@S...]", help="ground, and others from a time on")
+        str, typer.Option(metavar="NAME[,NAME@S...]", help=f"{TERRAINS}; and others from a time [s] on")
     ] = "grass",
     vehicle: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="preset or YAML file; default: the calibration's, or summit-xl"),
+        typer.Option(metavar="NAME|FILE", help=f"{VEHICLES}, or YAML file; default: the calibration's, or summit-xl"),
     ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="what the controller believes; none: as found on the plant at low speed"),
     ] = None,
     profile: Profile = None,
-    size: Annotated[float | None, typer.Option(metavar="M", help="of a named path")] = None,
+    size: Annotated[
+        float | None, typer.Option(metavar="M", help="of a named path [m]: from end to end, or of its straights")
+    ] = None,
     closed: Annotated[bool, typer.Option("--closed", help="waypoints go on from the last to the first")] = False,
     topic: Annotated[str | None, typer.Option(metavar="NAME", help="of the nav_msgs/Path in a bag")] = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="drive with the rear ahead")] = False,
     start: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]", help="[m, rad]; none: on the path")] = None,
-    laps: Annotated[float, typer.Option(help="of a closed path")] = 1.0,
+    laps: Annotated[float, typer.Option(metavar="N", help="of a closed path")] = 1.0,
     rate: Annotated[float, typer.Option(metavar="HZ", help="of the controller")] = 50.0,
     lag: Annotated[float, typer.Option(metavar="S", help="of the wheels")] = 0.1,
     delay: Annotated[float, typer.Option(metavar="S", help="of the poses")] = 0.0,
@@ -52,12 +56,12 @@ def follow(
     yaw_noise: Annotated[float, typer.Option(metavar="DEG", help="of the poses")] = 0.0,
     jump: Annotated[str, typer.Option(metavar="M@S,...", help="leaps of the localization, also M@PERCENT%")] = "",
     lost: Annotated[str, typer.Option(metavar="FROM-TO,...", help="[s] without poses")] = "",
-    acceleration: Annotated[float, typer.Option(metavar="M/S2", help="limit of the rims")] = math.inf,
+    acceleration: Annotated[float, typer.Option(metavar="M/S2", help="limit of the rims [m/s^2]")] = math.inf,
     off: Annotated[float, typer.Option(metavar="M", help="from the path, where driving ends")] = 3.0,
-    seed: Annotated[int, typer.Option(min=0, help="of the noise")] = 0,
+    seed: Annotated[int, Seed] = 0,
     json: Json = False,
 ) -> None:
-    """Let a controller drive a simulated robot along a path, and show how well."""
+    """Let a controller drive a simulated robot along a path. And show how well."""
     from skidsteer import documents
     from skidsteer.errors import RequestError
     from skidsteer.follow import words

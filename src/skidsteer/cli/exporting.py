@@ -19,7 +19,7 @@ def export(
     to: Annotated[str, typer.Option(metavar="FORMAT", help="ros2-control, robot-localization, p3at or json")],
     drives: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[DRIVE...]", help=f"to measure on what multipliers lose: {DRIVE_HELP}"),
+        typer.Argument(metavar="DRIVE", help=f"to measure on what multipliers lose: {DRIVE_HELP}"),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="to write; default: standard output")] = None,
     controller: Annotated[
@@ -32,7 +32,7 @@ def export(
     window: Window = 2.0,
     profile: Profile = None,
 ) -> None:
-    """A calibration for other software: parameters to paste into ROS 2, a Pioneer's integers, or JSON."""
+    """A calibration for other software: ROS 2, a Pioneer, JSON. Parameters to paste, with what is lost in them."""
     from skidsteer.export import Settings, force, text
     from skidsteer.io.atomic import write_text
     from skidsteer.io.calibration_file import load_calibration

@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skidsteer.cli.words import DRIVE_HELP, Drives, Json, Lag, Offset, Profile, Window, app, folder, positive
+from skidsteer.cli.words import (
+    DRIVE_HELP,
+    MODELS,
+    Drives,
+    Json,
+    Lag,
+    Offset,
+    Profile,
+    Seed,
+    Window,
+    app,
+    folder,
+    positive,
+)
 from skidsteer.sources import Source, on_drives
 
 if TYPE_CHECKING:
@@ -23,17 +36,22 @@ if TYPE_CHECKING:
 @on_drives
 def calibrate(
     source: Source,
-    drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE...", help=DRIVE_HELP)] = None,
+    drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE", help=DRIVE_HELP)] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="write calibration.yaml, report and exports there")
     ] = None,
-    model: Annotated[str, typer.Option(metavar="NAME|auto", help="model, or auto: chosen by the drives")] = "auto",
-    method: Annotated[str, typer.Option(help="least-squares, genetic (Mandow 2007) or circle-test")] = "least-squares",
+    model: Annotated[str, typer.Option(metavar="NAME|auto", help=f"{MODELS}, or auto: chosen by the drives")] = "auto",
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="least-squares, genetic (Mandow 2007) or circle-test")
+    ] = "least-squares",
     window: Window = 2.0,
     time_offset: Offset = None,
     lag: Lag = None,
-    mount: Annotated[str | None, typer.Option(metavar="X,Y[,YAW]|free", help="of the reference [m, rad]")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="of the genetic search")] = 0,
+    mount: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y[,YAW]|free", help="of the reference on the robot [m, rad]; default: at its origin"),
+    ] = None,
+    seed: Annotated[int, Seed] = 0,
     fix: Annotated[bool, typer.Option("--fix", help="apply the doctor's safe cures first")] = False,
     profile: Annotated[
         list[str] | None, typer.Option(metavar="GROUND=DRIVE", help="a profile for each ground, in place of DRIVE...")
@@ -86,7 +104,7 @@ def evaluate(
     profile: Profile = None,
     json: Json = False,
 ) -> None:
-    """Errors of a calibration on drives; fits nothing, but the delay if asked."""
+    """Errors of a calibration on drives. Fits nothing, but the delay if asked."""
     from skidsteer import console, documents
     from skidsteer.evaluation import evaluate as evaluate_drives
     from skidsteer.io.calibration_file import load_calibration
@@ -103,13 +121,13 @@ def evaluate(
 @app.command()
 @on_drives
 def terrains(
-    drives: Annotated[list[str], typer.Argument(metavar="GROUND=DRIVE...", help="drives and the ground of each")],
+    drives: Annotated[list[str], typer.Argument(metavar="GROUND=DRIVE", help="drives and the ground of each")],
     source: Source,
-    model: Annotated[str, typer.Option(metavar="NAME", help="model whose parameters are compared")] = "icr",
+    model: Annotated[str, typer.Option(metavar="NAME", help=f"whose parameters are compared: {MODELS}")] = "icr",
     window: Window = 2.0,
     json: Json = False,
 ) -> None:
-    """Whether the model of one ground differs from that of another, and whether it matters."""
+    """Whether grounds differ so much that each needs its own model."""
     from skidsteer import console, documents
     from skidsteer.identify.calibrate import make_options
     from skidsteer.identify.terrain import compare_terrains
@@ -145,7 +163,7 @@ def check(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write the cured drive to")] = None,
     json: Json = False,
 ) -> None:
-    """What is wrong with a log, where, how sure that is, what it does, and the cure."""
+    """What is wrong with a log, where, and the cure. And what it can tell of the robot."""
     from skidsteer import console, documents
     from skidsteer.doctor import examine
     from skidsteer.doctor import fix as cure

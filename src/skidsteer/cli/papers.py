@@ -79,7 +79,7 @@ def figure(
     window: Window = 2.0,
     profile: Profile = None,
 ) -> None:
-    """Draw a figure for a paper: vector, to a column's width, the same file every time."""
+    """Draw a figure for a paper. Vector, to a column's width, the same file every time."""
     from skidsteer.figures.catalogue import FIGURES, entry, write_figure
     from skidsteer.figures.sheet import checked_suffix
 

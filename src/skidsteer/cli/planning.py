@@ -34,10 +34,10 @@ def plan(
     direction: Annotated[
         str, typer.Option(metavar="left|right", help="the robot turns to, round the obstacle")
     ] = "left",
-    laps: Annotated[int, typer.Option(help="how often round")] = 1,
+    laps: Annotated[int, typer.Option(metavar="N", help="how often round")] = 1,
     json: Json = False,
 ) -> None:
-    """Wheel commands that drive a calibrated robot round an obstacle, and where it will end."""
+    """Wheel commands that drive a robot round an obstacle. And where it will end."""
     from skidsteer import courses, documents
     from skidsteer.io.atomic import write_text
     from skidsteer.io.command_table import write_commands, write_path

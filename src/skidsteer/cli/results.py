@@ -16,7 +16,7 @@ from skidsteer.sources import Source, on_drives
 def report(
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
     source: Source,
-    drives: Annotated[list[str] | None, typer.Argument(metavar="[DRIVE...]", help=DRIVE_HELP)] = None,
+    drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE", help=DRIVE_HELP)] = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="page to write")] = Path("report.html"),
     window: Window = 2.0,
     fit_delay: Annotated[
@@ -24,7 +24,7 @@ def report(
     ] = False,
     profile: Profile = None,
 ) -> None:
-    """One page on a calibration and how it does on drives: its own, held out, or others."""
+    """One page on a calibration, and how it does on drives. Its own, held out, or others."""
     from skidsteer.identify.circle_calibration import METHOD
     from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
