@@ -23,10 +23,8 @@ KINDS = {
     "scheduled_icr": 6,
     "transfer_factor": 7,
 }
-CREEP = 0.02  # [m/s] as in models.curvature
-KNEE = 1.0  # [m/s] as in models.scheduled_icr
+CREEP = 0.02  # [m/s] as in models.curvature and models.scheduled_icr
 LEAN = 3.0  # [m/s^2] as in models.scheduled_icr
-LEAN = 3.0  # [m/s^2] as there
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
@@ -85,13 +83,16 @@ def _icr(theta: FloatArray, left: float, right: float, twist: FloatArray, J: Flo
 @njit(cache=True, error_model="numpy")
 def _scheduled_icr(theta: FloatArray, left: float, right: float, twist: FloatArray, J: FloatArray) -> None:
     _icr(theta, left, right, twist, J)
-    x, turn_loss, side_slip, yaw_gain, load_gain, slip_fade = theta[2], theta[5], theta[6], theta[7], theta[8], theta[9]
-    v, omega = twist[0], twist[2]
-    loss, fade, knee, a = 1.0 + turn_loss * omega**2, 1.0 + slip_fade * abs(v), KNEE**2 + v**2, abs(v * omega)
-    gain = 1.0 + yaw_gain * v**2 / knee + load_gain * a / (LEAN + a)
+    x, turn_loss, side_slip, slip_fade = theta[2], theta[5], theta[6], theta[9]
+    straight_gain, load_gain = theta[7], theta[8]
+    v, omega, apart = twist[0], twist[2], theta[0] - theta[1]
+    loss, fade, a = 1.0 + turn_loss * omega**2, 1.0 + slip_fade * abs(v), abs(v * omega)
+    square = v**2 + (apart * omega) ** 2 + CREEP**2
+    straight = v**2 / square
+    gain = 1.0 + straight_gain * straight + load_gain * a / (LEAN + a)
     by_a = load_gain * LEAN / (LEAN + a) ** 2
-    turn_by_v = omega * (yaw_gain * 2.0 * v * (KNEE / knee) ** 2 + by_a * abs(omega) * np.sign(v))
-    turn_by_omega = gain + by_a * a
+    turn_by_v = omega * (2.0 * straight_gain * v * (square - v**2) / square**2 + by_a * abs(omega) * np.sign(v))
+    turn_by_omega = gain - 2.0 * straight_gain * (apart * v * omega / square) ** 2 + by_a * a
     for m in range(5):
         by_v, by_omega = J[0, m], J[2, m]
         turn = turn_by_v * by_v + turn_by_omega * by_omega
@@ -100,9 +101,14 @@ def _scheduled_icr(theta: FloatArray, left: float, right: float, twist: FloatArr
         J[1, m] = -x * turn - slip
         J[2, m] = turn
     J[1, 2] -= omega * gain
+    by_apart = -2.0 * straight_gain * apart * (v / square) ** 2 * omega**3
+    J[1, 0] -= x * by_apart
+    J[1, 1] += x * by_apart
+    J[2, 0] += by_apart
+    J[2, 1] -= by_apart
     J[0, 5] = -v * (omega / loss) ** 2
     J[1, 6] = -v * omega / fade
-    J[2, 7] = omega * v**2 / knee
+    J[2, 7] = omega * straight
     J[2, 8] = omega * a / (LEAN + a)
     J[1, 7], J[1, 8] = -x * J[2, 7], -x * J[2, 8]
     J[1, 9] = side_slip * v * omega * abs(v) / fade**2
