@@ -57,8 +57,8 @@ NOTES = (
     "Fig. 5 falls with lambda: the equations give a fall from the spot to a circle, by rolling resistance, and none"
     " after it. docs/ground.md tells what does: tyres that give way more easily sideways than lengthwise",
     "section 3.2 smooths the coordinates with a median, an edge and a mean filter and tells no width of any. Ours"
-    " leaves out sightings far from the median of those around them and averages poses to 25 Hz; the scanner's own filters of"
-    " ranges are in laser.scans, and no figure here uses them",
+    " leaves out sightings far from the median of those around them and averages poses to 25 Hz; the scanner's own"
+    " filters of ranges are in laser.scans, and no figure here uses them",
 )
 
 
