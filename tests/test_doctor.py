@@ -26,7 +26,7 @@ from skidsteer.doctor.units import widths
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.samples import sample
-from skidsteer.se2 import FloatArray, wrap
+from skidsteer.se2 import FloatArray, between, compose, wrap
 from skidsteer.vehicle import Vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,6 +42,13 @@ def study() -> ModuleType:
     sys.modules["doctor_study"] = module
     spec.loader.exec_module(module)
     return module
+
+
+def restarted(pose: Series) -> Series:
+    """The pose of a localization that starts anew half-way, elsewhere."""
+    half, values = len(pose) // 2, pose.values.copy()
+    values[half:] = compose([7.0, -4.0, 2.0], between(values[half], values[half:]))
+    return Series(pose.t, values, "pose")
 
 
 @pytest.fixture(scope="module")
@@ -300,6 +307,16 @@ def test_a_gap_while_the_robot_moves_is_found(drive: Drive, part: str) -> None:
     finding = the("gap", without(drive, part, 20.0, 23.0))
     assert finding.part == part
     assert_allclose(finding.where, [(20.0, 23.0)], atol=0.3)
+
+
+def test_a_localization_that_starts_anew_is_found(drive: Drive) -> None:
+    assert drive.pose is not None
+    finding = the("leap", replace(drive, pose=restarted(drive.pose)))
+    half = drive.pose.t[len(drive.pose) // 2]
+    assert finding.part == "pose"
+    assert finding.where[0][1] == half
+    segments = np.array([[drive.span[0], half - 0.01], [half, drive.span[1]]])
+    assert examine(replace(drive, pose=restarted(drive.pose), segments=segments)) == ()
 
 
 def test_a_pause_of_the_reference_is_one_where_it_comes_evenly(drive: Drive) -> None:

@@ -1,6 +1,6 @@
 import itertools
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from skidsteer.windows import (
     covered,
     increment_windows,
     judging_windows,
+    leaps,
     linearize,
     pieces,
     predict,
@@ -48,6 +49,51 @@ def drive_at(t: ArrayLike, segments: ArrayLike | None = None, twist: FloatArray 
 
 def spans(windows: Windows) -> FloatArray:
     return np.stack([windows.start, windows.end], axis=1)
+
+
+# A reference that was set anew
+
+
+@pytest.mark.parametrize(
+    ("step", "leapt"),
+    [([-3.0, 0.0, 0.0], True), ([0.0, 0.0, 2.0], True), ([-0.3, 0.0, 0.0], False), ([0.0, 0.0, 0.5], False)],
+)
+def test_windows_end_where_the_reference_leaps(step: list[float], leapt: bool) -> None:
+    drive = drive_at(np.arange(0.0, 20.0, 0.1))
+    assert drive.pose is not None
+    values = drive.pose.values.copy()
+    values[100:] += step  # between 9.9 and 10.0 s
+    moved = replace(drive, pose=Series(drive.pose.t, values, "pose"))
+    assert_allclose(leaps(moved), [[9.9, 10.0]] if leapt else np.zeros((0, 2)))
+    for cut in (increment_windows(moved), increment_windows(moved, 0.5), judging_windows(moved)):
+        across = (cut.start < 9.95) & (cut.end > 9.95)
+        assert across.any() != leapt
+    assert len(increment_windows(moved)) == len(increment_windows(drive)) - leapt
+    assert not increment_windows(moved).joined[increment_windows(moved).start == 10.0].any() or not leapt
+
+
+def test_leaps_are_cut_out_of_segments_and_beside_gaps() -> None:
+    drive = drive_at(np.arange(0.0, 20.0, 0.1), [[2.0, 4.0], [5.0, 15.0]])
+    assert drive.pose is not None
+    values = drive.pose.values.copy()
+    values[100:, 0] += 5.0
+    values[101:, 0] -= 9.0  # and again
+    moved = replace(drive, pose=Series(drive.pose.t, values, "pose"))
+    assert_allclose(pieces(moved), [[2.0, 4.0], [5.0, 9.9], [10.0, 10.0], [10.1, 15.0]])
+    assert_allclose(pieces(drive), drive.segments)
+    values[::3, 0] += 100.0  # everywhere: a unit is wrong
+    assert not len(leaps(replace(drive, pose=Series(drive.pose.t, values, "pose"))))
+
+
+def test_a_reference_that_froze_catches_up() -> None:
+    drive = drive_at(np.arange(0.0, 20.0, 0.1))
+    assert drive.pose is not None
+    values = drive.pose.values.copy()
+    values[100:115] = values[100]
+    values[115:, 0] += 1.0  # 1.75 m after 1.5 s at 1 m/s by the wheels
+    assert not len(leaps(replace(drive, pose=Series(drive.pose.t, values, "pose"))))
+    values[115:, 0] += 6.0
+    assert_allclose(leaps(replace(drive, pose=Series(drive.pose.t, values, "pose"))), [[11.4, 11.5]])
 
 
 # Which windows are judged

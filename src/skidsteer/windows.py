@@ -12,9 +12,13 @@ from skidsteer.drive import Drive, Series
 from skidsteer.kernels import roll
 from skidsteer.kernels import rollout as kernels
 from skidsteer.models import MatrixModel, Model
-from skidsteer.se2 import FloatArray, between, compose, invert, rotate
+from skidsteer.se2 import FloatArray, between, compose, invert, rotate, wrap
 
 MAX_GAP = 1.0  # [s] without a wheel sample: nothing is known of the motion beyond
+LEAP, LEAP_TURN = 0.5, np.radians(45.0)  # [m], [rad] steps of a reference that are smaller may be noise
+FASTER, SCATTER = 3.0, 0.3  # times the wheels at their fastest, [s] of the stamps: no motion of the robot
+FROZEN, CATCH_UP = 1e-3, 2.0  # [m] a step that is smaller; [s] for which a reference freezes
+RARE = 0.05  # share of the steps
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
 TURN_SPACING = 0.5  # [s] of windows over which a gyro alone is compared
 CHUNK = 200_000  # steps handled at once for models that are not linear in the speeds: bounds the memory
@@ -89,15 +93,49 @@ class Windows:
 def pieces(drive: Drive) -> FloatArray:
     """Stretches (k, 2) of reference time [s] in which wheels and reference are both there: the segments, or the whole.
 
-    They are cut where no wheel sample came for ``MAX_GAP``.
+    They are cut where no wheel sample came for ``MAX_GAP``, and where the reference leaps.
     """
-    covered = stretches(drive.wheels.t)
-    if drive.segments is None:
-        return covered
-    low = np.searchsorted(covered[:, 1], drive.segments[:, 0], side="right")
-    high = np.searchsorted(covered[:, 0], drive.segments[:, 1], side="left")
-    cut = [np.clip(covered[a:b], *segment) for a, b, segment in zip(low, high, drive.segments, strict=True)]
+    both = stretches(drive.wheels.t)
+    cuts = leaps(drive)
+    if len(cuts):
+        both = _common(both, np.stack([np.r_[-np.inf, cuts[:, 1]], np.r_[cuts[:, 0], np.inf]], axis=1))
+    return both if drive.segments is None else _common(both, drive.segments)
+
+
+def _common(spans: FloatArray, others: FloatArray) -> FloatArray:
+    """What lies in one of the spans (k, 2) and one of the others (m, 2), each of them in order."""
+    low = np.searchsorted(spans[:, 1], others[:, 0], side="right")
+    high = np.searchsorted(spans[:, 0], others[:, 1], side="left")
+    cut = [np.clip(spans[a:b], *other) for a, b, other in zip(low, high, others, strict=True)]
     return np.concatenate([np.zeros((0, 2)), *cut])
+
+
+def leaps(drive: Drive) -> FloatArray:
+    """Times (k, 2) [s] of the samples before and after each step of the reference that is no motion of the robot.
+
+    A localization that starts anew, another fix: a step of ``LEAP`` and ``FASTER`` times more than the wheels at their
+    fastest make in that time, or since the reference last moved, for one that froze catches up; in yaw, more than they
+    turn without slip. None is told where they are not rare: a unit is wrong instead.
+    """
+    reference, wheels = drive.reference, drive.wheels.values
+    if reference is None or len(reference) < 2:
+        return np.zeros((0, 2))
+    t, step = reference.t, np.diff(reference.values, axis=0)
+    way = np.hypot(step[:, 0], step[:, 1])
+    rolled = _time_to_move(t, way > FROZEN)
+    leap = way > LEAP + FASTER * rolled * np.abs(wheels).max()
+    if step.shape[1] > 2:
+        spin = np.abs(np.diff(wheels, axis=1)).max() / drive.vehicle.track_width
+        leap |= np.abs(wrap(step[:, 2])) > LEAP_TURN + rolled * spin
+    at = np.flatnonzero(leap)
+    return np.stack([t[at], t[at + 1]], axis=1) if len(at) <= RARE * len(step) else np.zeros((0, 2))
+
+
+def _time_to_move(t: FloatArray, moves: np.ndarray) -> FloatArray:
+    """Time (n - 1,) [s] from the last sample that moved to the end of each step, and what the stamps may be off by."""
+    last = np.maximum.accumulate(np.where(moves, np.arange(1, len(t)), 0))
+    since = t[1:] - t[np.r_[0, last[:-1]]]
+    return np.asarray(np.minimum(since, np.diff(t) + CATCH_UP) + SCATTER)
 
 
 def stretches(t: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ KINDS: dict[str, str] = {
     "clock_offset": "one clock is ahead of another by more than a delay explains",
     "clock_drift": "one clock runs faster than another",
     "clock_jump": "a clock jumped or was reset",
+    "leap": "the reference leaps as no robot moves",
     "frozen_reference": "the reference stands still while the wheels turn",
     "held_samples": "values are repeated between updates at a lower true rate",
     "quantised_wheels": "wheel speeds come in coarse steps",

@@ -1,4 +1,4 @@
-"""Pauses: samples that are missing, or a clock of the whole log that was set forward meanwhile."""
+"""Breaks: samples that are missing, a clock of the whole log that was set forward meanwhile, a reference that leaps."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from skidsteer.doctor.findings import Finding, Interval
 from skidsteer.doctor.signals import BREAK, BoolArray, sampling_period, typical
 from skidsteer.drive import Drive, Series
 from skidsteer.se2 import FloatArray, wrap
+from skidsteer.windows import leaps
 
 REFERENCE_GAPS = (1.2, 1.5)  # [s] longer than for the wheels; the last where many increments are long
 USUAL, UNUSUAL = 0.98, 2.0  # share of its increments that is usual, and how much longer than those a pause is
@@ -52,7 +53,7 @@ def parts_of(drive: Drive) -> dict[str, Series]:
 
 
 def pause_findings(evidence: Evidence) -> list[Finding]:
-    """Findings about samples missing while the robot moved, and about the clock of the whole log."""
+    """Findings about samples missing while the robot moved, the clock of the whole log, and leaps of the reference."""
     drive, rolled = evidence.drive, Rolled.of(evidence)
     gaps = {part: _pauses(series, drive, part) for part, series in parts_of(drive).items()}
     jumps = [(start, end) for start, end in gaps["wheels"] if _no_time_went_by(evidence, start, end)]
@@ -63,7 +64,35 @@ def pause_findings(evidence: Evidence) -> list[Finding]:
         moving = _moving_at(drive.wheels, start, end) if part == "wheels" else rolled.moved(start, end)
         where = [pause for pause, moves in zip(missing, moving, strict=True) if moves]
         found += [_gap_finding(evidence, part, where)] if where else []
-    return found
+    return [*found, *_leap_findings(evidence)]
+
+
+def _leap_findings(evidence: Evidence) -> list[Finding]:
+    """Leaps of the reference, but those from one segment to the next, and those that a yaw in degrees only seems."""
+    drive = evidence.drive
+    where = leaps(drive)
+    if drive.segments is not None:
+        where = where[
+            np.searchsorted(drive.segments[:, 0], where[:, 0], side="right")
+            == np.searchsorted(drive.segments[:, 0], where[:, 1], side="right")
+        ]
+    if not len(where) or evidence.yaw_fault:
+        return []
+    part, first = "pose" if drive.pose is not None else "position", evidence.folding.unfold(where[0, 0])
+    often = f"once, at {first:.1f} s" if len(where) == 1 else f"{len(where)} times, first at {first:.1f} s"
+    return [
+        Finding(
+            "leap",
+            f"The {part} leaps {often}: farther from sample to sample than the robot moves.",
+            tuple(map(tuple, where.tolist())),
+            0.95,
+            "warning",
+            "The drive is cut there, and goes on from the new place.",
+            "Look for a localization that started anew, a lost fix, or a change of frames.",
+            False,
+            part,
+        )
+    ]
 
 
 def _pauses(series: Series, drive: Drive, part: str) -> list[Interval]:
