@@ -42,6 +42,7 @@ def folder(tmp_path: Path) -> Path:
 
 def assert_same(a: Drive, b: Drive) -> None:
     assert a.vehicle == b.vehicle
+    assert a.antenna == b.antenna
     for part in PARTS:
         one, other = getattr(a, part), getattr(b, part)
         assert (one is None) == (other is None), part
@@ -346,7 +347,8 @@ def drives(draw: st.DrawFn) -> Drive:
     if optional["pose"] is None:
         optional["position"] = draw(st.none() | series("position"))
     windows = {"segments": segments, "labels": labels} if draw(st.booleans()) else {}
-    return Drive("any", ROBOT, draw(series("wheels", 2)), **optional, **windows)
+    antenna = draw(st.none() | st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)))
+    return Drive("any", ROBOT, draw(series("wheels", 2)), **optional, **windows, antenna=antenna)
 
 
 @given(drives())

@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skidsteer.errors import DataError, RequestError
-from skidsteer.io.vehicle_file import VehicleFile, parse_vehicle, read_vehicle, vehicle, vehicle_text
+from skidsteer.io.vehicle_file import (
+    WIDEST,
+    VehicleFile,
+    parse_antenna,
+    parse_vehicle,
+    read_vehicle,
+    vehicle,
+    vehicle_text,
+)
 from skidsteer.vehicle import PRESETS, Vehicle, preset
 
 GOOD = "name: mine\ntrack_width: 0.55  # m\nwheel_radius: 0.165\n"
@@ -16,8 +24,8 @@ positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
 vehicles = st.builds(
     Vehicle,
     name=st.text(),
-    track_width=positive,
-    wheel_radius=positive,
+    track_width=positive.filter(lambda width: width <= WIDEST),
+    wheel_radius=positive.filter(lambda radius: radius <= WIDEST),
     wheels=st.integers(2, 1000),
     wheel_base=st.none() | positive,
     mass=st.none() | positive,
@@ -46,6 +54,19 @@ def test_file_has_the_fields_of_a_vehicle() -> None:
     assert list(VehicleFile.model_fields) == [field.name for field in fields(Vehicle)]
 
 
+@given(vehicles, st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)))
+def test_the_place_of_an_antenna_is_kept_beside_the_vehicle(robot: Vehicle, place: tuple[float, float]) -> None:
+    text = vehicle_text(robot, place).encode()
+    assert parse_antenna("vehicle.yaml", text) == place
+    assert parse_vehicle("vehicle.yaml", text) == robot
+    assert parse_antenna("vehicle.yaml", vehicle_text(robot).encode()) is None
+
+
+def test_half_a_place_is_none() -> None:
+    with pytest.raises(DataError, match="antenna_x and antenna_y belong together"):
+        parse_antenna("vehicle.yaml", (GOOD + "antenna_x: 0.4\n").encode())
+
+
 def test_reads_what_users_write() -> None:
     assert parse_vehicle("vehicle.yaml", GOOD.encode()) == Vehicle("mine", 0.55, 0.165)
     assert parse_vehicle("vehicle.yaml", b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode()).name == "mine"
@@ -67,6 +88,9 @@ def test_reads_what_users_write() -> None:
         (GOOD + "mass: heavy\n", "the key 'mass' has the value 'heavy', input should be a valid number"),
         (GOOD + "mass: yes\n", "the key 'mass' has the value 'True', input should be a valid number"),
         (GOOD + "mass: 2020-01-01\n", "the key 'mass' has the value '2020-01-01', input should be a valid number"),
+        (GOOD + "antenna_x: .inf\n", "the key 'antenna_x' has the value 'inf', input should be a finite number"),
+        ("name: mine\ntrack_width: 550\nwheel_radius: 165\n", "track_width is 550 m; is it in mm?"),
+        ("name: mine\ntrack_width: 0.55\nwheel_radius: 165\n", "wheel_radius is 165 m; is it in mm?"),
         (GOOD + "wheels: 1\n", "vehicle wheels must be at least 2, got 1"),
         (GOOD + "wheels: 4.5\n", "the key 'wheels' has the value '4.5', input should be a valid integer"),
         (GOOD + "name: other\n", "line 4: the key 'name' is there twice; keep one"),

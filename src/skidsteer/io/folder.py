@@ -20,7 +20,7 @@ from skidsteer.io import atomic
 from skidsteer.io.csv_table import Table, column_if_numeric, line_of, numbers, read_table
 from skidsteer.io.scans import SCANS_FILE, is_scan_table, plate_series
 from skidsteer.io.text_file import listed, names_in, read_bytes, short
-from skidsteer.io.vehicle_file import LARGEST, parse_vehicle, read_vehicle, vehicle, vehicle_text
+from skidsteer.io.vehicle_file import LARGEST, parse_antenna, parse_vehicle, read_vehicle, vehicle, vehicle_text
 from skidsteer.laser.plate import Plate
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import PRESETS, Vehicle
@@ -131,7 +131,7 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
     }
     if drive.segments is not None:
         files[FILES["segments"]] = _segments_text(drive.segments, drive.labels)
-    files[VEHICLE_FILE] = vehicle_text(drive.vehicle)
+    files[VEHICLE_FILE] = vehicle_text(drive.vehicle, drive.antenna)
     atomic.write_folder(path, files)
 
 
@@ -155,10 +155,14 @@ def _assemble(
     otherwise: Vehicle | None,
 ) -> Drive:
     contents = {tables[part].path: tables[part].data for part in READ if part in tables}
+    antenna = None
     if vehicle is None:
         file = tables["wheels"].path.parent / VEHICLE_FILE
-        beside = os.path.lexists(file)
-        vehicle = otherwise if otherwise and not beside else parse_vehicle(file, _vehicle_bytes(file))
+        if otherwise and not os.path.lexists(file):
+            vehicle = otherwise
+        else:
+            told = _vehicle_bytes(file)
+            vehicle, antenna = parse_vehicle(file, told), parse_antenna(file, told)
     series = {part: _series(tables[part], part) for part in COLUMNS if part in tables}
     wheels = series.pop("wheels")
     if len(wheels) < 2:
@@ -176,7 +180,7 @@ def _assemble(
         segments=segments,
         labels=labels,
         source=source,
-        antenna=None,  # no file tells it: --mount does
+        antenna=antenna,
         sha256=hashlib.sha256(b"".join(contents.values())).hexdigest(),
     )
 

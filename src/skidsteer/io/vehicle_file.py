@@ -1,4 +1,4 @@
-"""``vehicle.yaml``: the fields of a `Vehicle` as lines of ``key: value``."""
+"""``vehicle.yaml``: the fields of a `Vehicle`, and where an antenna sits on it, as lines of ``key: value``."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from skidsteer.errors import DataError, RequestError
 from skidsteer.io.text_file import decode, read_bytes, short
 from skidsteer.vehicle import Vehicle, preset
 
 LARGEST = 1 << 20  # [bytes] that a vehicle file may have
+WIDEST = 10.0  # [m] no robot that skids is larger
+Antenna = tuple[float, float]  # [m] ahead and left of the middle of the robot
 
 
 class VehicleFile(BaseModel):
@@ -36,6 +38,13 @@ class VehicleFile(BaseModel):
     source: str = ""
 
 
+class EquippedFile(VehicleFile):
+    """A vehicle and the place of an antenna on it [m]."""
+
+    antenna_x: FiniteFloat | None = None
+    antenna_y: FiniteFloat | None = None
+
+
 def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     """Read a vehicle from a YAML file whose keys are the fields of `Vehicle`; an unknown key is an error.
 
@@ -51,13 +60,36 @@ def parse_vehicle(path: str | os.PathLike[str], data: bytes) -> Vehicle:
     Raises:
         DataError: the content is not a vehicle.
     """
-    content = _parse_flat_yaml(path, decode(path, data))
+    measures = _validated(path, data).model_dump(exclude={"antenna_x", "antenna_y"})
+    for key in ("track_width", "wheel_radius"):
+        if measures[key] > WIDEST:
+            raise DataError(f"{path}: {key} is {measures[key]:g} m; is it in mm?")
     try:
-        return Vehicle(**VehicleFile.model_validate(content).model_dump())
-    except ValidationError as error:
-        raise DataError(f"{path}: {_first_fault(error)}") from error
+        return Vehicle(**measures)
     except ValueError as error:
         raise DataError(f"{path}: {error}") from error
+
+
+def parse_antenna(path: str | os.PathLike[str], data: bytes) -> Antenna | None:
+    """Where the antenna sits by the keys ``antenna_x`` and ``antenna_y`` of a vehicle's YAML file; None: not told.
+
+    Raises:
+        DataError: the content is not a vehicle, or only one of the keys is there.
+    """
+    file = _validated(path, data)
+    if file.antenna_x is None and file.antenna_y is None:
+        return None
+    if file.antenna_x is None or file.antenna_y is None:
+        raise DataError(f"{path}: antenna_x and antenna_y belong together; give both in m, ahead and left")
+    return file.antenna_x, file.antenna_y
+
+
+def _validated(path: str | os.PathLike[str], data: bytes) -> EquippedFile:
+    content = _parse_flat_yaml(path, decode(path, data))
+    try:
+        return EquippedFile.model_validate(content)
+    except ValidationError as error:
+        raise DataError(f"{path}: {_first_fault(error)}") from error
 
 
 def vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
@@ -78,9 +110,10 @@ def vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
         raise
 
 
-def vehicle_text(vehicle: Vehicle) -> str:
-    """The YAML of all that is known of a vehicle; it reads back to the last bit."""
-    content = {key: _plain(value) for key, value in asdict(vehicle).items() if value is not None}
+def vehicle_text(vehicle: Vehicle, antenna: Antenna | None = None) -> str:
+    """The YAML of all that is known of a vehicle, and of an antenna on it; it reads back to the last bit."""
+    place = {} if antenna is None else dict(zip(("antenna_x", "antenna_y"), antenna, strict=True))
+    content = {key: _plain(value) for key, value in (asdict(vehicle) | place).items() if value is not None}
     text: str = yaml.safe_dump(content, sort_keys=False, width=1000)
     return "# m, kg, m/s\n" + text
 
@@ -124,5 +157,5 @@ def _first_fault(error: ValidationError) -> str:
     if fault["type"] == "missing":
         return f"the key {key} is missing"
     if fault["type"] == "extra_forbidden":
-        return f"unknown key {key}; the keys are: {', '.join(VehicleFile.model_fields)}"
+        return f"unknown key {key}; the keys are: {', '.join(EquippedFile.model_fields)}"
     return f"the key {key} has the value {short(str(fault['input']))}, {fault['msg'].lower()}"
