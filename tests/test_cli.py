@@ -157,7 +157,13 @@ def still(lines: list[str]) -> list[str]:
     return [lines[0], *(line.split(",")[0] + ",0,0\n" for line in lines[1:])]
 
 
+def in_milliseconds(lines: list[str]) -> list[str]:
+    rows = [line.split(",", 1) for line in lines[1:]]
+    return [lines[0], *(f"{float(t) * 1e3},{rest}" for t, rest in rows)]
+
+
 CASES = {
+    "milliseconds": ("wheels.csv", in_milliseconds, "is t in seconds?"),
     "NaN": ("wheels.csv", lambda x: [*x[:50], x[50].split(",")[0] + ",nan,0.1\n", *x[51:]], "is nan"),
     "unsorted": ("wheels.csv", reversed_time, "is earlier than"),
     "repeated": ("wheels.csv", lambda x: [*x[:50], x[49], *x[50:]], "repeats the time"),

@@ -223,6 +223,17 @@ def test_standing_windows_of_positions_do_not_count() -> None:
 # Gyro
 
 
+def test_a_gyro_judges_no_window_in_which_it_is_silent() -> None:
+    drive = with_gyro(PERFECT, 0.0)
+    assert drive.gyro is not None
+    errors = window_errors(TRUTH, replace(drive, gyro=drive.gyro.between(0.0, 11.0)), TIMING)
+    early, late = errors.end < 10.0, errors.start > 11.0
+    assert np.isfinite(errors.yaw_gyro[early]).all()
+    assert early.any()
+    assert np.isnan(errors.yaw_gyro[late]).all()
+    assert late.any()
+
+
 @pytest.mark.parametrize("late", [0.0, 0.137, -0.43])
 def test_align_gyro_recovers_offset_bias_and_scale(late: float) -> None:
     drive = with_gyro(PERFECT, late, bias=0.02, scale=0.95, noise=0.005)

@@ -9,7 +9,7 @@ import numpy as np
 from skidsteer.drive import Drive
 from skidsteer.gyro import GyroErrors, Turn, rough_errors
 from skidsteer.models import Model
-from skidsteer.prediction import Uncertainty, squared_distances
+from skidsteer.prediction import Distances, Uncertainty, distances
 from skidsteer.se2 import FloatArray, chain, compose, wrap
 from skidsteer.windows import Mount, Timing, Windows, judging_windows, predict, stretches
 
@@ -31,6 +31,7 @@ class Spread:
         return cls(float(np.median(size)), float(np.sqrt(np.mean(size**2))), float(np.quantile(size, 0.95)))
 
 
+LEAST_TOLD = 0.5  # share of a window that a gyro must speak to judge it
 LEAST_BLOCKS = 6  # below which resampling them tells nothing
 RESAMPLES = 1000
 
@@ -75,9 +76,16 @@ class WindowErrors:
     yaw: FloatArray  # (k,) [rad] end yaw, wrapped; needs a heading
     yaw_gyro: FloatArray  # (k,) [rad] turned angle against the integrated gyro; needs a gyro
     squared: FloatArray  # (k,) squared distance of the end pose by its predicted covariance; needs a pose and that
+    turn_score: FloatArray  # (k,) and of what a turn that is off explains of it, see ``prediction.Distances``
+    turn_information: FloatArray  # (k,)
 
     def __len__(self) -> int:
         return len(self.start)
+
+    @property
+    def distances(self) -> Distances:
+        """Of the end poses, for regions."""
+        return Distances(self.squared, self.turn_score, self.turn_information)
 
     def where(self, keep: np.ndarray) -> WindowErrors:
         """Only the windows of a mask (k,)."""
@@ -113,7 +121,8 @@ def window_errors(
     """
     windows = judging_windows(drive, length)
     seen = (mount or Mount()).seen(predict(model, drive.wheels, windows, timing))
-    translation = yaw = gyro = squared = np.full(len(windows), np.nan)
+    translation = yaw = gyro = unknown = np.full(len(windows), np.nan)
+    off = Distances(unknown, unknown, unknown)
     if windows.sees == "pose":
         error = windows.motion - seen
         translation, yaw = np.hypot(error[:, 0], error[:, 1]), wrap(error[:, 2])
@@ -123,12 +132,15 @@ def window_errors(
         gyro = _gyro_errors(model, drive, timing, windows)
     if uncertainty is not None:
         of_body = replace(windows, motion=(mount or Mount()).body(windows.motion))
-        squared = squared_distances(model, drive.wheels, of_body, timing, uncertainty)
-    return WindowErrors(windows.start, windows.end, translation, yaw, gyro, squared)
+        off = distances(model, drive.wheels, of_body, timing, uncertainty)
+    return WindowErrors(windows.start, windows.end, translation, yaw, gyro, off.squared, off.score, off.information)
 
 
 def _gyro_errors(model: Model, drive: Drive, timing: Timing, windows: Windows) -> FloatArray:
-    """Turned angle (k,) [rad] predicted less that of the gyro, over the part of each window where both speak."""
+    """Turned angle (k,) [rad] predicted less that of the gyro, over the part of each window where both speak.
+
+    NaN where that is too little of the window.
+    """
     assert drive.gyro is not None
     errors, turn = align_gyro(drive, model, timing), Turn.of(drive.gyro)
     start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
@@ -139,7 +151,8 @@ def _gyro_errors(model: Model, drive: Drive, timing: Timing, windows: Windows) -
     start = np.minimum(start, end)
     clipped = Windows(start, end, windows.motion, windows.joined)
     turned = predict(model, drive.wheels, clipped, Timing(0.0, timing.lag))[:, 2]
-    return np.asarray(turned - turn.between(start, end, errors))
+    told = end - start >= LEAST_TOLD * (windows.end - windows.start)
+    return np.where(told, turned - turn.between(start, end, errors), np.nan)
 
 
 def _position_errors(model: Model, drive: Drive, timing: Timing, windows: Windows, mount: Mount) -> FloatArray:

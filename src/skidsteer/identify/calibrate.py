@@ -26,7 +26,7 @@ from skidsteer.identify.spacing import choose_spacing
 from skidsteer.identify.unknowns import UNITS
 from skidsteer.models import MODELS
 from skidsteer.prediction import fit_regions
-from skidsteer.windows import Mount, increment_windows, pieces
+from skidsteer.windows import MAX_GAP, Mount, increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
@@ -114,7 +114,7 @@ def calibrate_with_folds(
         selected_because=because,
         warnings=(*complaints, *_warnings(found, verdict, judged, chosen, drives), *notes),
         held_out={name: HeldOut.of(e.errors, block=e.block) for name, e in judged.items()},
-        regions=fit_regions(judged[chosen].errors.squared) if chosen in judged else None,
+        regions=fit_regions(judged[chosen].errors.distances) if chosen in judged else None,
         observability=verdict,
         controller=as_controller(found.model, drives, judged.get(chosen), options.window),
     )
@@ -207,6 +207,12 @@ def refuse_unusable(drive: Drive) -> None:
     if reference is None:
         raise DataError(
             f"{drive.name}: has no reference; add pose.csv (t, x, y, yaw), position.csv or imu.csv (gyro_z)"
+        )
+    period = float(np.median(np.diff(drive.wheels.t)))
+    if period > MAX_GAP:
+        raise DataError(
+            f"{drive.name}: wheel samples are {period:.3g} s apart; beyond {MAX_GAP:g} s the motion between is unknown;"
+            " is t in seconds?"
         )
     if not len(pieces(drive)) or not len(windows := increment_windows(drive)):
         a, b = reference.t[[0, -1]]
