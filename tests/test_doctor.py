@@ -309,6 +309,25 @@ def test_a_gap_while_the_robot_moves_is_found(drive: Drive, part: str) -> None:
     assert_allclose(finding.where, [(20.0, 23.0)], atol=0.3)
 
 
+@pytest.mark.parametrize(("side", "name", "speed"), [(0, "left", 0.31), (1, "right", 0.31), (0, "left", 0.0)])
+def test_a_side_that_is_dead_is_found(drive: Drive, side: int, name: str, speed: float) -> None:
+    dead = drive.wheels.t > (60.0 if speed else 0.0)
+    values = drive.wheels.values.copy()
+    values[dead, side] = speed
+    wrong = wheels(drive, values)
+    finding = the("frozen_wheels", wrong)
+    assert name in finding.what
+    assert finding.severity == "error"
+    assert_allclose(finding.where, [(drive.wheels.t[dead][0], drive.span[1])], atol=0.3)
+    assert not [f for f in examine(wrong) if f.kind.startswith("clock_")]
+
+
+def test_a_side_that_stands_while_the_other_drives_it_round_is_not_dead(drive: Drive) -> None:
+    values = drive.wheels.values.copy()
+    values[(drive.wheels.t > 60.0) & (drive.wheels.t < 75.0), 0] = 0.0
+    assert not [f for f in examine(wheels(drive, values)) if f.kind == "frozen_wheels"]
+
+
 def test_a_localization_that_starts_anew_is_found(drive: Drive) -> None:
     assert drive.pose is not None
     finding = the("leap", replace(drive, pose=restarted(drive.pose)))

@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError, SkidSteerError
-from skidsteer.io.drives import load_drives
+from skidsteer.io.drives import load_drive, load_drives
 from skidsteer.io.folder import read_csv_files, read_folder, vehicle, write_folder
 from skidsteer.vehicle import Vehicle
 
@@ -449,3 +449,22 @@ def test_real_drives_read_and_survive_a_copy(tmp_path: Path) -> None:
     assert windows.segments is not None
     assert windows.segments.shape == (586, 2)
     assert list(windows.labels) == ["calib_step", "transitory"]
+
+
+def test_a_yaw_that_never_changes_while_the_wheels_turn_is_none(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As a GNSS receiver's odometry has it, or a table whose yaw was filled up."""
+    turning = FILES | {"wheels.csv": "t,v_left,v_right\n0.0,-1.0,1.0\n0.5,-1.0,1.0\n1.0,-1.0,1.0\n"}
+    for name, text in turning.items():
+        (tmp_path / name).write_text(text)
+    assert load_drive(tmp_path).pose is not None
+    (tmp_path / "pose.csv").write_text("t,x,y,yaw\n0.1,1,2,0\n0.2,4,5,0\n")
+    with caplog.at_level("INFO"):
+        drive = load_drive(tmp_path)
+    assert drive.pose is None
+    assert drive.position is not None
+    assert_array_equal(drive.position.values, [[1, 2], [4, 5]])
+    assert "taken for positions only" in caplog.text
+    (tmp_path / "wheels.csv").write_text(FILES["wheels.csv"])  # straight on: the heading is one
+    assert load_drive(tmp_path).pose is not None

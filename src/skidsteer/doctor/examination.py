@@ -36,7 +36,12 @@ def examine(drive: Drive) -> tuple[Finding, ...]:
 
 
 def _unexplained(found: list[Finding]) -> list[Finding]:
-    """The findings without gaps that a clock set forward left in the stamps of the same part."""
+    """The findings without what others explain.
+
+    Gaps that a clock set forward left in the stamps of the same part; clocks compared with a side that is dead.
+    """
+    if any(f.kind == "frozen_wheels" for f in found):
+        found = [f for f in found if not f.kind.startswith("clock_")]
     jumps = [(f.part, start, end) for f in found if f.kind == "clock_jump" for start, end in f.where]
     out = []
     for f in found:

@@ -26,6 +26,7 @@ KINDS: dict[str, str] = {
     "clock_jump": "a clock jumped or was reset",
     "leap": "the reference leaps as no robot moves",
     "frozen_reference": "the reference stands still while the wheels turn",
+    "frozen_wheels": "the speed of one side stays the same while the other changes",
     "held_samples": "values are repeated between updates at a lower true rate",
     "quantised_wheels": "wheel speeds come in coarse steps",
     "gap": "samples are missing",

@@ -1,4 +1,4 @@
-"""How the sensors were sampled: held values, coarse steps, a reference that freezes."""
+"""How the sensors were sampled: held values, coarse steps, a reference or a side of the wheels that freezes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skidsteer.doctor.evidence import Evidence
-from skidsteer.doctor.findings import Finding
+from skidsteer.doctor.findings import Finding, Interval
 from skidsteer.doctor.pauses import Rolled, parts_of
 from skidsteer.doctor.signals import BREAK, BoolArray, sampling_period, starts_anew, typical
 from skidsteer.se2 import FloatArray
@@ -16,12 +16,14 @@ LONGEST_HOLD = 2.0  # [s] longer ones are a steady drive
 MOST_HOLD = 40  # samples
 FEWEST_RUNS = 15
 COARSE = 0.02  # of the typical speed: steps finer than that do no harm
+DEAD, DEAD_AT_REST = 10.0, 0.5  # [s] that one side stays at a speed, and share of the drive that it stays at zero
+LIVE = 20  # values that the other one has meanwhile
 LEVELS = 5  # fewer cannot be told from commands
 
 
 def sampling_findings(evidence: Evidence) -> list[Finding]:
-    """Findings about frozen references, held samples and coarse steps."""
-    return [*_frozen(evidence), *_held(evidence), *_quantised(evidence)]
+    """Findings about frozen references and wheels, held samples and coarse steps."""
+    return [*_frozen(evidence), *_frozen_wheels(evidence), *_held(evidence), *_quantised(evidence)]
 
 
 def runs_of_equal(values: FloatArray, cut: BoolArray | None = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -59,6 +61,34 @@ def _frozen(evidence: Evidence) -> list[Finding]:
             part,
         )
     ]
+
+
+def _frozen_wheels(evidence: Evidence) -> list[Finding]:
+    wheels, found = evidence.drive.wheels, []
+    for side, (name, other) in enumerate((("left", "right"), ("right", "left"))):
+        t, values, changing = wheels.t, wheels.values[:, side], wheels.values[:, 1 - side]
+        first, length = runs_of_equal(values[:, None], np.diff(t) > BREAK)
+        lasted = t[first + length - 1] - t[first]
+        least = np.where(values[first] != 0.0, DEAD, max(DEAD, DEAD_AT_REST * (t[-1] - t[0])))
+        some = [(i, n) for i, n in zip(first[lasted > least], length[lasted > least], strict=True)]
+        where = tuple((float(t[i]), float(t[i + n - 1])) for i, n in some if len(set(changing[i : i + n])) > LIVE)
+        if where:
+            found.append(_frozen_side(name, other, where, float(values[np.searchsorted(t, where[0][0])])))
+    return found
+
+
+def _frozen_side(side: str, other: str, where: tuple[Interval, ...], speed: float) -> Finding:
+    return Finding(
+        "frozen_wheels",
+        f"The speed of the {side} side stays at {speed:.3g} m/s for {sum(b - a for a, b in where):.0f} s while that of"
+        f" the {other} side changes.",
+        where,
+        0.95,
+        "error",
+        "It is no measurement there: the model of that side comes out wrong, and clocks cannot be compared.",
+        f"Look for a dead encoder or motor driver on the {side}; leave these times out.",
+        False,
+    )
 
 
 def _held(evidence: Evidence) -> list[Finding]:

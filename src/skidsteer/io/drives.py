@@ -5,10 +5,13 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skidsteer.drive import Drive
+import numpy as np
+
+from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError, RequestError
 from skidsteer.io.folder import read_csv_files, read_folder
 from skidsteer.io.options import AUTOMATIC, BagOptions
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
     from skidsteer.io.bag import BagContents
 
 log = logging.getLogger(__name__)
+
+SURELY_TURNS = 2.0  # [rad] by the nominal track width
 
 PREFIX = "sample:"
 NOT_A_DRIVE = "give a drive folder, CSV files, a bag (.bag, .mcap, .db3 or a rosbag2 folder) or sample:NAME"
@@ -31,6 +36,9 @@ def load_drive(
     otherwise: Vehicle | None = None,
 ) -> Drive:
     """Read a drive. What was chosen in a bag is logged.
+
+    A pose whose yaw never changes while the wheels turn is read as a position: receivers and converters that know no
+    heading write such.
 
     Args:
         path: a drive folder, CSV files joined by commas (``wheels.csv,pose.csv``), a bag, or ``sample:NAME``.
@@ -46,6 +54,10 @@ def load_drive(
     text = os.fspath(path)
     if text.startswith(PREFIX):
         return sample(text.removeprefix(PREFIX))
+    return _without_false_heading(_read(text, vehicle, bag, otherwise))
+
+
+def _read(text: str, vehicle: Vehicle | None, bag: BagOptions, otherwise: Vehicle | None) -> Drive:
     names = text.split(",")
     if all(name.lower().endswith(".csv") for name in names):
         return read_csv_files(names, vehicle, bag.plate, otherwise)
@@ -56,6 +68,17 @@ def load_drive(
     if Path(text).is_dir():
         return read_folder(text, vehicle, bag.plate, otherwise)
     raise DataError(f"{text}: not a drive; {NOT_A_DRIVE}")
+
+
+def _without_false_heading(drive: Drive) -> Drive:
+    pose, wheels = drive.pose, drive.wheels
+    if pose is None or len(pose) < 2 or np.ptp(pose.values[:, 2]) > 0.0:
+        return drive
+    rolled = np.abs(np.diff(wheels.values[:-1], axis=1)[:, 0]) @ np.minimum(np.diff(wheels.t), 1.0)
+    if rolled < SURELY_TURNS * drive.vehicle.track_width:
+        return drive
+    log.info("%s: the yaw of the pose never changes while the wheels turn: taken for positions only", drive.name)
+    return replace(drive, pose=None, position=Series(pose.t, pose.values[:, :2], "position"))
 
 
 def _is_bag(path: str) -> bool:
