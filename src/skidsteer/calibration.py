@@ -105,7 +105,7 @@ class HeldOut:
         gyro = Spread.of(np.degrees(errors.yaw_gyro)) if np.isfinite(errors.yaw_gyro).any() else None
         shares: tuple[float | None, float | None] = (None, None)
         if regions is not None and np.isfinite(errors.squared).any():
-            shares = (regions.coverage(errors.squared, 0.68), regions.coverage(errors.squared, 0.95))
+            shares = (regions.coverage(errors.distances, 0.68), regions.coverage(errors.distances, 0.95))
         sizes = {"translation_m": errors.translation, "yaw_deg": np.degrees(errors.yaw)}
         sizes["yaw_gyro_deg"] = np.degrees(errors.yaw_gyro)
         intervals = {name: median_interval(size, block) for name, size in sizes.items()} if block is not None else {}

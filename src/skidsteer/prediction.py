@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import gammaln
+from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from skidsteer.drive import Series
@@ -41,6 +44,16 @@ def _transition(motion: FloatArray) -> FloatArray:
     return F
 
 
+def turn_effect(motion: FloatArray) -> FloatArray:
+    """Change (k, 3) of motions (k, 3), in the body frame at their end, by a yaw rate that is off by a share of itself.
+
+    Exact for a twist (u, w) held all through: p = int R(w s) u ds is the way made, and partial integration of
+    w dp/dw = int w s R'(w s) u ds gives R(w) u - p in the frame at the start.
+    """
+    back = invert(motion)
+    return np.column_stack([log(motion)[:, :2] + back[:, :2], motion[:, 2]])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """What a prediction of one drive may be wrong by: noise, and the covariance of what was estimated.
@@ -59,15 +72,18 @@ class Forecast:
 
     path: Series  # (n, 3)
     of_parameters: FloatArray  # (n, 3, 3) model and lag: the same error all along
+    of_turns: FloatArray  # (n, 3, 3) what turns are off by beside that: the same all along, too
     of_motion: FloatArray  # (n, 3, 3) motion noise
 
     @property
     def covariances(self) -> FloatArray:
-        """(n, 3, 3) of both."""
-        return self.of_parameters + self.of_motion
+        """(n, 3, 3) of all three."""
+        return self.of_parameters + self.of_turns + self.of_motion
 
 
-def forecast(model: Model, wheels: Series, t: FloatArray, lag: float, uncertainty: Uncertainty) -> Forecast:
+def forecast(
+    model: Model, wheels: Series, t: FloatArray, lag: float, uncertainty: Uncertainty, turning: float = 0.0
+) -> Forecast:
     """Where a model drives to from the origin, and how far each pose may be off: parameters, lag and motion noise.
 
     Args:
@@ -76,6 +92,7 @@ def forecast(model: Model, wheels: Series, t: FloatArray, lag: float, uncertaint
         t: (n + 1,) [s] increasing, within those of the wheels; the robot is at the origin at the first.
         lag: [s] with which the body follows the rims.
         uncertainty: its time offset does not matter: times are those of the wheels.
+        turning: share of its turns that the model is off by all along, see ``Regions``.
     """
     windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
     cut = steps(wheels, windows, Timing(0.0, lag))
@@ -83,22 +100,42 @@ def forecast(model: Model, wheels: Series, t: FloatArray, lag: float, uncertaint
     rolled = residuals(model, windows, cut, motion).rolled
     F, Q = _transition(motion), motion_covariance(motion, rolled, uncertainty.noise)
     by_parameters = _rotation(-motion[:, 2]) @ np.delete(jacobian, -2, axis=2)
+    lasting = np.concatenate([by_parameters, turning * turn_effect(motion)[:, :, None]], axis=2)
     known = np.delete(np.delete(uncertainty.covariance, -2, axis=0), -2, axis=1)
-    P, J = np.zeros((len(t), 3, 3)), np.zeros((len(t), *by_parameters.shape[1:]))
+    P, J = np.zeros((len(t), 3, 3)), np.zeros((len(t), *lasting.shape[1:]))
     for i in range(len(motion)):
-        P[i + 1], J[i + 1] = F[i] @ P[i] @ F[i].T + Q[i], F[i] @ J[i] + by_parameters[i]
-    return Forecast(Series(t, chain(motion), "path"), J @ known @ np.swapaxes(J, 1, 2), P)
+        P[i + 1], J[i + 1] = F[i] @ P[i] @ F[i].T + Q[i], F[i] @ J[i] + lasting[i]
+    of_parameters = J[:, :, :-1] @ known @ np.swapaxes(J[:, :, :-1], 1, 2)
+    of_turns = J[:, :, -1:] @ np.swapaxes(J[:, :, -1:], 1, 2)
+    return Forecast(Series(t, chain(motion), "path"), of_parameters, of_turns, P)
 
 
-def squared_distances(
-    model: Model, wheels: Series, windows: Windows, timing: Timing, uncertainty: Uncertainty
-) -> FloatArray:
-    """Squared Mahalanobis distance (k,) of measured from predicted end poses; chi-square with 3 if all is Gaussian.
+@dataclass(frozen=True, slots=True, eq=False)
+class Distances:
+    """How far measured end poses lie from predicted ones by their covariance C, and what a turn's share explains of it.
 
-    The covariance is that of the prediction and of both reference poses. NaN where the reference tells no pose.
+    With the error e of an end pose and the effect g of a turn that is off (``turn_effect``): all (k,), NaN where the
+    reference tells no pose.
     """
+
+    squared: FloatArray  # e^T C^-1 e, chi-square with 3 degrees of freedom if all is Gaussian
+    score: FloatArray  # g^T C^-1 e
+    information: FloatArray  # g^T C^-1 g
+
+    def told(self) -> Distances:
+        """Only those that are known."""
+        known = np.isfinite(self.squared)
+        return Distances(self.squared[known], self.score[known], self.information[known])
+
+    def allowing(self, turning: float) -> FloatArray:
+        """Squared distances (k,) by C + turning^2 g g^T (Sherman and Morrison)."""
+        return np.asarray(self.squared - turning**2 * self.score**2 / (1.0 + turning**2 * self.information))
+
+
+def distances(model: Model, wheels: Series, windows: Windows, timing: Timing, uncertainty: Uncertainty) -> Distances:
+    """Distances of measured from predicted end poses, by the covariance of prediction and both reference poses."""
     if windows.sees != "pose" or not len(windows):
-        return np.full(len(windows), np.nan)
+        return Distances(*np.full((3, len(windows)), np.nan))
     cut = steps(wheels, windows, timing)
     motion, jacobian = linearize(model, cut)
     part = residuals(model, windows, cut, motion)
@@ -107,8 +144,9 @@ def squared_distances(
     jacobian = turn @ jacobian
     total = motion_covariance(motion, part.rolled, uncertainty.noise) + after + F @ before @ np.swapaxes(F, 1, 2)
     total += jacobian @ uncertainty.covariance @ np.swapaxes(jacobian, 1, 2)
-    error = (turn @ part.residual[..., None])[..., 0]
-    return np.asarray(np.einsum("ki,ki->k", error, np.linalg.solve(total, error[..., None])[..., 0]))
+    both = np.stack([(turn @ part.residual[..., None])[..., 0], turn_effect(motion)], axis=2)
+    products = np.swapaxes(both, 1, 2) @ np.linalg.solve(total, both)
+    return Distances(products[:, 0, 0], products[:, 0, 1], products[:, 1, 1])
 
 
 def _rotation(yaw: FloatArray) -> FloatArray:
@@ -122,30 +160,61 @@ def _rotation(yaw: FloatArray) -> FloatArray:
 class Regions:
     """Regions of the end pose that hold the share they claim: ellipsoids of a Student t, fitted to held-out distances.
 
-    Real errors have heavier tails than a Gaussian, and last longer than a random walk: ``scale`` multiplies the
-    predicted covariance, ``dof`` is the number of degrees of freedom (large: Gaussian).
+    What a model is wrong by at one operating point lasts as long as that: ``turning`` is the share of a turn that
+    predictions are off by all through it (standard deviation), beside what parameters and noise explain. Real errors
+    have heavier tails than a Gaussian, too: ``scale`` multiplies the predicted covariance with that of the turn,
+    ``dof`` is the number of degrees of freedom (large: Gaussian).
     """
 
     scale: float
     dof: float
+    turning: float = 0.0
 
     def limit(self, share: float) -> float:
         """Squared distance that a share of end poses lies within."""
         return float(3.0 * self.scale * fisher.ppf(share, 3, self.dof))
 
-    def coverage(self, squared: FloatArray, share: float) -> float:
-        """Share of distances (k,) inside the region that claims ``share``; NaN where there are none."""
-        told = squared[np.isfinite(squared)]
-        return float(np.mean(told <= self.limit(share))) if len(told) else float("nan")
+    def coverage(self, found: Distances, share: float) -> float:
+        """Share of end poses inside the region that claims ``share``; NaN where there are none."""
+        squared = found.told().allowing(self.turning)
+        return float(np.mean(squared <= self.limit(share))) if len(squared) else float("nan")
 
 
-def fit_regions(squared: FloatArray) -> Regions | None:
-    """Regions whose 68 % and 95 % limits are those of held-out distances (k,); None with fewer than 20 of them."""
-    told = squared[np.isfinite(squared)]
-    if len(told) < 20:
+LEAST_TOLD = 20  # held-out end poses, below which they tell no regions
+SHARES = np.linspace(0.5, 0.95, 10)  # whose quantiles the regions are fitted to
+DOFS = np.geomspace(1.0, 100.0, 200)
+NO_TURNING, MOST_TURNING = 1e-5, 0.5
+
+
+def fit_regions(found: Distances) -> Regions | None:
+    """Regions whose limits are, by least squares of logarithms, those of held-out distances; None with too few."""
+    found = found.told()
+    if len(found.squared) < LEAST_TOLD:
         return None
-    q68, q95 = np.quantile(told, [0.68, 0.95])
-    dofs = np.geomspace(0.5, 1e4, 400)
-    ratio = fisher.ppf(0.95, 3, dofs) / fisher.ppf(0.68, 3, dofs)
-    dof = float(dofs[int(np.argmin(np.abs(np.log(ratio * q68 / q95))))])
-    return Regions(float(q68 / (3.0 * fisher.ppf(0.68, 3, dof))), dof)
+    turning = fit_turning(found)
+    quantiles = np.log(np.quantile(found.allowing(turning), SHARES))
+    apart = quantiles - np.log(3.0 * fisher.ppf(SHARES, 3, DOFS[:, None]))
+    best = int(np.argmin(apart.var(axis=1)))
+    return Regions(float(np.exp(apart[best].mean())), float(DOFS[best]), turning)
+
+
+def fit_turning(found: Distances) -> float:
+    """Share of turns that predictions are off by all through them, by maximum likelihood of a Student t.
+
+    0 where a likelihood-ratio test at 5 % (one-sided) does not ask for it.
+    """
+
+    def cost(x: FloatArray) -> float:
+        scale, dof, turning = np.exp(x)
+        squared = found.allowing(turning) / (scale * dof)
+        each = 0.5 * (dof + 3.0) * np.log1p(squared) + 0.5 * np.log1p(turning**2 * found.information)
+        return float(each.sum() - len(each) * (gammaln(0.5 * dof + 1.5) - gammaln(0.5 * dof) - 1.5 * x[:2].sum()))
+
+    def best(low: float, high: float, start: float) -> tuple[float, float]:
+        limits = np.log([(1e-2, 1e3), (DOFS[0], DOFS[-1]), (low, high)])
+        x0 = np.log([1.0, 4.0, start])
+        least = minimize(cost, x0, method="L-BFGS-B", bounds=list(zip(*limits.T, strict=True)))
+        return float(least.fun), float(np.exp(least.x[2]))
+
+    (without, _), (freed, turning) = best(NO_TURNING, NO_TURNING, NO_TURNING), best(NO_TURNING, MOST_TURNING, 0.03)
+    return float(f"{turning:.3g}") if 2.0 * (without - freed) > chi2.ppf(0.9, 1) else 0.0

@@ -38,8 +38,10 @@ def covariances(calibration: Calibration, projection: Projection, rate: float, o
     The error of the motion is a random walk: its variance grows by walk^2 for each metre that the rims roll. A filter
     that integrates velocities whose errors are independent from message to message, with variance R at ``rate`` a
     second, adds up R / rate a second: so R is walk^2 times the rim speed times ``rate``. What the multipliers leave out
-    at the usual yaw rate is added, though it is no noise. Where there was a gyro alone, all that the two turned
-    differently is taken for an error of the wheels: a filter that fuses both must not trust them more than the gyro.
+    at the usual yaw rate is added, though it is no noise. So is what turns are off by all through them: as a random
+    walk that adds up to the same at the end of a window that it was found in. Where there was a gyro alone, all that
+    the two turned differently is taken for an error of the wheels: a filter that fuses both must not trust them more
+    than the gyro.
 
     Args:
         calibration: its noise, raised so that regions of 68 % hold that share of its held-out windows.
@@ -52,10 +54,19 @@ def covariances(calibration: Calibration, projection: Projection, rate: float, o
     growth = raised * np.array([noise.walk**2, noise.walk**2, noise.turn**2])
     lost = np.zeros(3) if of_icr else np.array([projection.y, projection.x, 0.0]) * projection.yaw_rate
     unknown = np.array([0.0, 0.0, noise.gyro**2 if gyro_alone(calibration) else 0.0])  # [rad^2] a second
-    twist = (growth * projection.rim_speed + unknown) * rate + lost**2
+    lasting = np.array([0.0, 0.0, _lasting(calibration, projection.yaw_rate)])
+    twist = (growth * projection.rim_speed + unknown + lasting) * rate + lost**2
     ahead = motion_covariance(np.array([[DISTANCE, 0.0, 0.0]]), np.array([DISTANCE]), noise)[0]
     x, y, yaw = raised * np.diag(ahead) + unknown * DISTANCE / projection.rim_speed
     return Covariances(_six(np.array([max(x, y), max(x, y), yaw])), _six(twist), raised)
+
+
+def _lasting(calibration: Calibration, yaw_rate: float) -> float:
+    """What turns are off by, as variance of the yaw [rad^2] a second that adds up to it after a judging window."""
+    regions, window = calibration.regions, calibration.provenance.options.get("window")
+    if regions is None or window is None:
+        return 0.0
+    return regions.scale * (regions.turning * yaw_rate) ** 2 * float(window)
 
 
 def _six(planar: FloatArray) -> tuple[float, ...]:

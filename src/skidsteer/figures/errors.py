@@ -11,6 +11,7 @@ from skidsteer.errors import RequestError
 from skidsteer.figures.material import Material, held_out
 from skidsteer.figures.observed import observe
 from skidsteer.figures.sheet import BLUE, COLUMN, GREY, PAGE, VERMILION, blank
+from skidsteer.metrics import WindowErrors
 from skidsteer.se2 import FloatArray
 
 if TYPE_CHECKING:
@@ -81,8 +82,8 @@ def draw_coverage(material: Material) -> Sheet:
     if regions is None:
         raise RequestError("figure 'coverage' needs regions; this calibration has none: calibrate a longer drive")
     known = material.reckoners("coverage")
-    squared = observe(known, material).squared
-    squared = squared[np.isfinite(squared)]
+    found = WindowErrors.join([one.errors(material.window) for one in known]).distances.told()
+    squared = found.squared
     if not len(squared):
         raise RequestError(f"figure 'coverage': no window of {material.window:g} s has a predicted region")
     sheet = blank(COLUMN, 78.0)
@@ -91,7 +92,7 @@ def draw_coverage(material: Material) -> Sheet:
     axes.fill_between(100 * SHARES, 100 * low, 100 * high, color="#dddddd", linewidth=0, label="95 % of chance")
     axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
     gauss = np.array([np.mean(squared <= chi2.ppf(share, 3)) for share in SHARES])
-    fitted = np.array([regions.coverage(squared, share) for share in SHARES])
+    fitted = np.array([regions.coverage(found, share) for share in SHARES])
     axes.plot(100 * SHARES, 100 * gauss, color=VERMILION, linestyle=(0, (5, 1.5)), label="noise model, Gaussian")
     axes.plot(100 * SHARES, 100 * fitted, color=BLUE, label="regions, Student t")
     axes.set(

@@ -28,7 +28,6 @@ class Observed:
     duration: FloatArray  # (n,) [s]
     translation: FloatArray  # (n,) [m] by which the model ends wrong
     yaw: FloatArray  # (n,) [rad] the same of its yaw
-    squared: FloatArray  # (n,) the same of its pose, by the predicted covariance
 
     def where(self, keep: np.ndarray) -> Observed:
         """Only the windows of a mask (n,)."""
@@ -69,8 +68,7 @@ def _observe(reckoner: Reckoner, mount: Mount, length: float) -> Observed:
     body, predicted = (mount.body(motion) for motion in (windows.motion, reckoner.motions(windows)))
     body[:, 2] = predicted[:, 2] + wrap(body[:, 2] - predicted[:, 2])  # windows may turn by more than half a turn
     measured, expected = _twist(body, duration), _twist(predicted, duration)
-    sizes = (errors.translation, errors.yaw, errors.squared)
-    return Observed(rolled / duration[:, None], measured, expected, duration, *sizes)
+    return Observed(rolled / duration[:, None], measured, expected, duration, errors.translation, errors.yaw)
 
 
 def _twist(motion: FloatArray, duration: FloatArray) -> FloatArray:

@@ -89,6 +89,7 @@ class _HeldOut(_Strict):
 class _Regions(_Strict):
     scale: _Positive
     dof: _Positive
+    turning: Annotated[float, Field(ge=0.0, lt=1e3)] = 0.0
 
 
 class _MotionSigma(_Strict):

@@ -229,7 +229,7 @@ def _plan(driver: Driver, request: Request, robot: Rectangle, radius: float) -> 
         )
     rims = commands(stretches)
     t = np.linspace(0.0, rims.t[-1], math.ceil(rims.t[-1] / SPACING) + 1)
-    expected = forecast(driver.model, rims, t, driver.lag, driver.uncertainty)
+    expected = forecast(driver.model, rims, t, driver.lag, driver.uncertainty, driver.regions.turning)
     return Plan(driver, request, robot, stretches, _place(straight, arc), expected)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from skidsteer.calibration import Calibration, HeldOut
-from skidsteer.metrics import Spread
+from skidsteer.metrics import Spread, WindowErrors
 from skidsteer.report.chart import Chart, Json, axis, colour_bar, curve
 from skidsteer.report.evidence import Evidence, Judged
 from skidsteer.report.markup import chart_text
@@ -184,8 +184,8 @@ def worst_and_some(size: FloatArray, most: int, worst: int) -> np.ndarray:
 
 def coverage_chart(evidence: Evidence) -> Chart | None:
     """Share of end poses inside the predicted regions against the share that these claim."""
-    squared = np.concatenate([j.calibrated.squared for j in evidence.judged] or [np.zeros(0)])
-    squared = squared[np.isfinite(squared)]
+    found = WindowErrors.join([j.calibrated for j in evidence.judged]).distances.told()
+    squared = found.squared
     if len(squared) < 5:
         return None
     claimed = np.linspace(0.02, 0.99, 98)
@@ -198,7 +198,8 @@ def coverage_chart(evidence: Evidence) -> Chart | None:
     regions = evidence.calibration.regions
     if regions is not None:
         limits = np.array([regions.limit(float(share)) for share in claimed])
-        data.append(_share("regions of the calibration", claimed, _shares(squared, limits), "$calibrated", "solid"))
+        held = _shares(found.allowing(regions.turning), limits)
+        data.append(_share("regions of the calibration", claimed, held, "$calibrated", "solid"))
     layout = {
         "xaxis": axis("claimed share [%]", range=[0, 100]),
         "yaxis": axis("end poses inside [%]", range=[0, 101]),

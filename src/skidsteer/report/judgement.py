@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skidsteer.calibration import Calibration
+from skidsteer.metrics import WindowErrors
 from skidsteer.report import error_charts, model_charts
 from skidsteer.report.evidence import Evidence
 from skidsteer.report.markup import Content, Html, figure, table, tag
@@ -153,12 +154,12 @@ def consistency(evidence: Evidence) -> Section:
     chart = error_charts.coverage_chart(evidence)
     if chart is None:
         return left_out(name, title, "no drive whose reference tells poses.")
-    squared = np.concatenate([j.calibrated.squared for j in evidence.judged])
-    squared = squared[np.isfinite(squared)]
+    found = WindowErrors.join([j.calibrated for j in evidence.judged]).distances.told()
+    squared = found.squared
     regions = evidence.calibration.regions
     held = ""
     if regions is not None:
-        shares = [f"{100 * regions.coverage(squared, share):.0f} %" for share in (0.68, 0.95)]
+        shares = [f"{100 * regions.coverage(found, share):.0f} %" for share in (0.68, 0.95)]
         held = f" Regions that claim 68 % and 95 % hold {shares[0]} and {shares[1]} of them."
     own = (
         " The regions were fitted to these same windows at 68 % and 95 %: there they fit by themselves."
