@@ -10,6 +10,8 @@ import logging
 import os
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -247,3 +249,36 @@ def test_no_option_tells_a_type_of_the_language(command: str, call: Call, monkey
     _, out, _ = call(command, "--help")
     options = out[out.index("Options:") :]
     assert not re.search(r"<(str|int|float|path|list|int range)", options)
+
+
+def compiled() -> None:
+    """Ctrl-C in a compiled loop, as Numba passes it on."""
+    raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+
+def plain() -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("interrupted", [compiled, plain])
+def test_an_interruption_is_one_line(interrupted: object, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skidsteer.samples.sample", lambda _: interrupted())  # type: ignore[operator]
+    assert call("sample", "p3at-mandow") == (130, "", "skidsteer: interrupted\n")
+
+
+def test_a_fault_of_our_own_is_no_interruption(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fault(_: str) -> None:
+        raise SystemError("bug")
+
+    monkeypatch.setattr("skidsteer.samples.sample", fault)
+    with pytest.raises(SystemError, match="bug"):
+        call("sample", "p3at-mandow")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+def test_an_output_that_is_full_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-c", "from skidsteer.cli import main; main()", "--help"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr == "skidsteer: cannot write to standard output: No space left on device\n"

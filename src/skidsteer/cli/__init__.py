@@ -27,6 +27,9 @@ ORDER = (  # as a user comes to need them
 app.registered_commands.sort(key=lambda command: ORDER.index(command.callback.__name__ if command.callback else ""))
 
 
+INTERRUPTED = 130  # exit code of a shell
+
+
 class OneLine(logging.Formatter):
     """Messages alone, in which no name from a file is an order to the terminal."""
 
@@ -52,9 +55,22 @@ def main() -> None:
     except SkidSteerError as error:
         typer.echo(f"skidsteer: {printable(' '.join(str(error).split()))}", err=True)
         sys.exit(1)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left of the output goes nowhere
+        if not isinstance(error, BrokenPipeError):
+            typer.echo(f"skidsteer: cannot write to standard output: {error.strerror or error}", err=True)
         sys.exit(1)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError, SystemExit) as error:
+        if not _interrupts(error):
+            raise
         typer.echo("skidsteer: interrupted", err=True)
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
+
+
+def _interrupts(error: BaseException) -> bool:
+    """Whether it is Ctrl-C, as Python, compiled loops and the parser of the command line pass it on."""
+    if isinstance(error, SystemExit):
+        return error.code == INTERRUPTED
+    return isinstance(error, KeyboardInterrupt) or isinstance(error.__cause__, KeyboardInterrupt)

@@ -37,10 +37,11 @@ def export(
     from skidsteer.io.atomic import write_text
     from skidsteer.io.calibration_file import load_calibration
 
+    positive(window, "--window")
     known = load_calibration(calibration).profile(profile)
     loaded = source.load(drives, known) if drives else []
     settings = Settings(controller, rate, icr_frame, source.words["imu_topic"] or "imu/data")
-    made = text(known, to, settings, force(known, loaded, positive(window, "--window")))
+    made = text(known, to, settings, force(known, loaded, window))
     if out is None:
         typer.echo(made, nl=False)
         return

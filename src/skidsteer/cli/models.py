@@ -109,9 +109,10 @@ def evaluate(
     from skidsteer.evaluation import evaluate as evaluate_drives
     from skidsteer.io.calibration_file import load_calibration
 
+    positive(window, "--window")
     known = load_calibration(calibration).profile(profile)
     loaded = source.load(drives, known)
-    result = evaluate_drives(known, loaded, positive(window, "--window"), fit_delay)
+    result = evaluate_drives(known, loaded, window, fit_delay)
     if json:
         typer.echo(documents.to_json(documents.evaluation_document(result, window)))
     else:
