@@ -13,8 +13,8 @@ from skidsteer.drive import Series
 from skidsteer.errors import RequestError
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.models import Icr
-from skidsteer.mujoco_plant import STEP, roll
-from skidsteer.se2 import FloatArray, chain, exp
+from skidsteer.mujoco_plant import STEP, RollingEngine, roll
+from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.simulate import Motion, Sensors, controller, recorded, rims_from_manoeuvres
 from skidsteer.terramechanics.robot import Robot, robot
 from skidsteer.terramechanics.steady_turn import rims_on_path, steady_turn
@@ -161,6 +161,18 @@ def test_what_calibration_finds_are_the_icrs_of_the_engine() -> None:
     errors = [(found[p.name].value - true) / found[p.name].sigma for p, true in zip(Icr.PARAMETERS, own, strict=True)]
     assert own[2] > 0.05  # the centre of mass draws it ahead
     assert np.abs(errors).max() < 2.0
+
+
+@engine
+def test_areas_lie_where_the_robot_is_told_to_stand() -> None:
+    """Ice under the left wheels of a robot that sets off: the same whichever way it faces."""
+    good, ice, here = coulomb(0.6), coulomb(0.05), np.array([1.0, 2.0, 0.5 * np.pi])
+    left = RollingEngine(robot(P3AT), Ground(good, (Area(ice, y=(0.0, np.inf)),)))
+    turned = RollingEngine(robot(P3AT), Ground(good, (Area(ice, x=(-np.inf, 1.0)),)), here)
+    for _ in range(10):
+        a, b = left.step((0.5, 0.5), 0.05), turned.step((0.5, 0.5), 0.05)
+    assert a[2] > 0.02  # the right wheels push
+    assert_allclose(b[:3], compose(here, a[:3]), atol=1e-3)
 
 
 @engine
