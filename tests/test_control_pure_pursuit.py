@@ -3,13 +3,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from control_loop import CENTRED, PLANT, follow
 from skidsteer.control import PathState, PurePursuit, Wheels
 from skidsteer.control.pure_pursuit import PRESETS, arc_curvature, lookahead_point
 from skidsteer.paths import arc, lemniscate, line
-from skidsteer.se2 import compose
+from skidsteer.se2 import compose, exp, invert
 
 STILL = np.zeros(3)
 LINE, RING = line(10.0), arc(2.0, 8.0 * math.pi)
@@ -119,6 +121,30 @@ def test_it_comes_to_a_line_from_behind() -> None:
     assert abs(run.aside[-1]) < 0.005
     assert np.abs(run.twists[-1]).max() == 0.0
     assert run.poses[-1, 0] == pytest.approx(9.75, abs=0.02)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.01, 0.99))
+def test_the_way_to_a_fixed_point_is_one_circle(angle: float, share: float) -> None:
+    """What it commands does not change on the way: facing away it makes one wide turn, and none if exactly so."""
+    assume(abs(math.sin(angle)) > 1e-6)
+    at = 0.9 * math.cos(angle), 0.9 * math.sin(angle)
+    curvature = arc_curvature(*at)
+    assert curvature == pytest.approx(2.0 * math.sin(angle) / 0.9)
+    turn = share * 2.0 * abs(angle)  # of the 2 a to the point
+    way = compose(invert(exp(np.array([1.0, 0.0, curvature]) * turn / abs(curvature))), np.array([*at, 0.0]))
+    assert arc_curvature(*way[:2]) == pytest.approx(curvature, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["adaptive", "plain"])
+def test_facing_away_before_a_path_it_makes_the_wide_turn_that_the_law_tells(name: str) -> None:
+    start = np.array([-0.9, 0.0, math.radians(175.0)])
+    run = follow(PRESETS[name], Wheels(CENTRED, 3.0), LINE, start, 60.0)
+    assert np.abs(run.poses[:, 1]).max() == pytest.approx(0.9 / math.sin(math.radians(5.0)), rel=0.02)
+    assert abs(run.poses[-1, 1]) < 0.1  # and it is on its way along the path
+    assert run.poses[-1, 0] > 6.0
+    away = follow(PRESETS[name], Wheels(CENTRED, 3.0), LINE, np.array([-0.9, 0.0, math.pi]), 20.0)
+    assert away.poses[-1, 0] < -9.0
+    assert follow(PRESETS["nav2"], Wheels(CENTRED, 3.0), LINE, start, 60.0).poses[:, 0].min() > -1.0
 
 
 def test_the_point_ahead_is_seen_from_the_rear_in_reverse() -> None:

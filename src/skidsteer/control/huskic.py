@@ -32,7 +32,6 @@ from skidsteer.control.path_state import (
 )
 from skidsteer.control.speed import SaturationSpeed
 from skidsteer.control.target import Approach, advanced, rate, turn_with_target
-from skidsteer.paths import Path
 
 STEADY = math.radians(45.0)  # |e| up to which it drives as fast as it may
 FACING = math.radians(75.0)  # |e| beyond which it stands and turns: Eq. (10) divides by cos(e)
@@ -74,9 +73,7 @@ class Huskic:
     def __post_init__(self) -> None:
         require_positive(self, "approach_length", "deceleration")
 
-    def begin(self, path: Path, pose: ArrayLike) -> PathState:
-        """See ``Controller``."""
-        return PathState.begin(path, pose)
+    begin = staticmethod(PathState.begin)  # see ``Controller``
 
     def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``. Beyond 75 deg of e it stands and turns towards the path; it slows down from 45 deg on."""

@@ -29,7 +29,6 @@ from skidsteer.control.path_state import (
     turn_within,
     wrapped,
 )
-from skidsteer.paths import Path
 
 LOOP = 0.25  # least coefficient of omega for which the feed-forward is solved
 
@@ -62,9 +61,7 @@ class Pentzer:
     def __post_init__(self) -> None:
         require_positive(self, "desired", "deceleration")
 
-    def begin(self, path: Path, pose: ArrayLike) -> PathState:
-        """See ``Controller``."""
-        return PathState.begin(path, pose)
+    begin = staticmethod(PathState.begin)  # see ``Controller``
 
     def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``."""

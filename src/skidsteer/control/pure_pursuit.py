@@ -2,6 +2,10 @@
 
 The robot drives the arc that leads to a point of the path ahead, curvature 2 y / L^2. Names, units and defaults of the
 options are Nav2's; its regulation by obstacles, which needs a costmap, is left out. It knows nothing of icr_x.
+
+A fixed point ahead is reached on one circle, of radius L / (2 sin a) where it is seen at an angle a. So a robot before
+its path that faces away makes a wide turn, 26 m for a point at 0.9 m and 179 deg, and never comes where it faces away
+to the last bit: not without ``use_rotate_to_heading``, which Nav2 has by default and ``adaptive`` and ``plain`` do not.
 """
 
 from __future__ import annotations
@@ -13,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from skidsteer.control.path_state import Command, PathState, elapsed, finite, require_positive
 from skidsteer.kernels import paths as kernels
-from skidsteer.paths import Path
 
 STEPS = 20  # of the lookahead distance, along the path, where its end is looked for
 
@@ -54,9 +57,7 @@ class PurePursuit:
                 f" {self.max_lookahead_dist}"
             )
 
-    def begin(self, path: Path, pose: ArrayLike) -> PathState:
-        """See ``Controller``."""
-        return PathState.begin(path, pose)
+    begin = staticmethod(PathState.begin)  # see ``Controller``
 
     def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``; here ``state`` is at the nearest point of the path."""

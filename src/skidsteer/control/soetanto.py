@@ -24,7 +24,6 @@ from skidsteer.control.path_state import (
     wrapped,
 )
 from skidsteer.control.target import Approach, advanced, rate, turn_with_target
-from skidsteer.paths import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +62,7 @@ class Soetanto:
     def __post_init__(self) -> None:
         require_positive(self, "desired", "omega_max", "approach_length", "deceleration")
 
-    def begin(self, path: Path, pose: ArrayLike) -> PathState:
-        """See ``Controller``."""
-        return PathState.begin(path, pose)
+    begin = staticmethod(PathState.begin)  # see ``Controller``
 
     def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
         """See ``Controller``."""
