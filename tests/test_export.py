@@ -124,6 +124,20 @@ def test_covariances_are_raised_to_what_held_out_windows_show() -> None:
     assert_allclose(np.array(raised.pose)[[0, 1, 5]], 2.0 * np.array(plain.pose)[[0, 1, 5]], rtol=1e-3)
 
 
+def test_what_turns_are_off_by_adds_up_to_the_same_after_a_window() -> None:
+    """In the yaw only: 3 % of what is turned in the 2 s of a judging window, of twice the variance; not straight on."""
+    where = replace(export.force(made()).projection, yaw_rate=0.7)
+    regions = Regions(2.0, 1e4)
+    plain, lasting = (
+        covariances(replace(made(), regions=r), where, 50.0, of_icr=True)
+        for r in (regions, replace(regions, turning=0.03))
+    )
+    added = np.array(lasting.twist) - plain.twist
+    assert_allclose(added[:5], 0.0)
+    assert added[5] / 50.0 * 2.0 == pytest.approx(2.0 * (0.03 * 0.7 * 2.0) ** 2)
+    assert (lasting.pose, lasting.raised) == (plain.pose, plain.raised)
+
+
 # Names
 
 

@@ -43,6 +43,7 @@ def edited(content: Any, key: Key, value: object, path: Path) -> Path:
         (("noise", "turn"), 1e308),
         (("regions", "scale"), float("nan")),
         (("regions", "dof"), 0.0),
+        (("regions", "turning"), -0.01),
         (("controller", "projection", "x"), 1e308),
         (("controller", "projection", "yaw_rate"), float("inf")),
         (("controller", "projection", "multipliers", "track_width"), 1e308),
@@ -52,6 +53,16 @@ def test_values_that_cannot_be_are_refused_by_name(content: Any, key: Key, value
     file = edited(content, key, value, tmp_path / "calibration.yaml")
     with pytest.raises(DataError, match=f"calibration.yaml: .*{key[-2] if key[-1] == 'value' else key[-1]}"):
         load_calibration(file)
+
+
+def test_regions_of_an_older_file_know_of_no_turns(content: Any, tmp_path: Path) -> None:
+    file = tmp_path / "calibration.yaml"
+    copy = yaml.safe_load(yaml.safe_dump(content))
+    del copy["regions"]["turning"]
+    file.write_text(yaml.safe_dump(copy), encoding="utf-8")
+    regions = load_calibration(file).regions
+    assert regions is not None
+    assert (regions.turning, regions.scale) == (0.0, content["regions"]["scale"])
 
 
 @pytest.mark.parametrize("radius", [1e308, 1e-308, 100.0])

@@ -179,6 +179,10 @@ def _noise(calibration: Calibration, found: Projection, settings: Settings) -> s
             f" covariances of yaw take all of it, {noise.gyro:.3g} rad after a second, for an error of the wheels."
         )
     raised = f", times {known.raised:.2g}, as held-out windows show" if calibration.regions else ""
+    if calibration.regions and calibration.regions.turning > 0.0:
+        lost += (
+            f" Turns that are off by {100.0 * calibration.regions.turning:.2g} % all through are in that of the yaw."
+        )
     return comment(
         f"Covariances: the motion's error grows by {noise.walk:.3g} m and {noise.turn:.3g} rad in a metre rolled, with"
         f" the root of the distance{raised}. That of the twist is for each of {settings.rate:g} messages a second at"
