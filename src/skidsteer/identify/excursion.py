@@ -17,11 +17,17 @@ from skidsteer.windows import Timing, Windows, predict
 TERMS = {
     "turn_loss": 0.1,
     "side_slip": 0.25,
-    "yaw_gain": 0.05,
+    "straight_gain": 0.05,
     "load_gain": 0.1,
     "slip_fade": 0.1,
 }  # typical of fits on real drives
-MOST = {"turn_loss": 0.15, "side_slip": 0.35, "yaw_gain": 0.1, "load_gain": 0.2, "slip_fade": 0.4}  # the most of them
+MOST = {
+    "turn_loss": 0.15,
+    "side_slip": 0.35,
+    "straight_gain": 0.2,
+    "load_gain": 0.2,
+    "slip_fade": 0.4,
+}  # the most of them
 COARSE = 0.2  # [s] between the poses looked at
 SURE = 0.95  # share of robots and drives that stay within what is said
 DRAWS = 60

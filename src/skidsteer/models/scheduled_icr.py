@@ -1,17 +1,18 @@
-"""Tread ICRs that depend on the operating point: what a constant ICR leaves out at speed. Ours.
+"""Tread ICRs that depend on the operating point: what a constant ICR leaves out at speed and on curves. Ours.
 
-With v, omega of the constant ICR (Mandow 2007, Eqs. (2)-(7)) the body moves with
+With v, omega of the constant ICR (Mandow 2007, Eqs. (2)-(7)) and D = icr_y_left - icr_y_right the body moves with
 
     v_x    = v / (1 + turn_loss omega^2)
-    omega' = omega (1 + yaw_gain v^2 / (KNEE^2 + v^2) + load_gain |v omega| / (LEAN + |v omega|))
+    omega' = omega (1 + straight_gain v^2 / (v^2 + (D omega)^2 + CREEP^2) + load_gain |v omega| / (LEAN + |v omega|))
     v_y    = -icr_x omega' - side_slip v omega / (1 + slip_fade |v|)
 
 ``side_slip``: pushed outwards by the lateral acceleration v omega, the robot slips to the outside of the turn;
 ``slip_fade``: less so, for its acceleration, the faster it drives.
-``turn_loss``: the faster it turns, the more of the rolled distance is lost. ``yaw_gain``: tyres that already slip
-lengthwise resist turning less, so that it turns more easily when it drives; ``load_gain``: more so, the more of its
-weight leans on the outer side. All of them vanish as the speed goes to zero. Read as ICRs: icr_x moves ahead with
-the speed, the treads' ICRs move inwards or outwards with it.
+``turn_loss``: the faster it turns, the more of the rolled distance is lost. ``straight_gain``: tyres that slip more
+lengthwise than sideways resist turning less, so that the treads' ICRs move inwards as the path gets straighter (Wang
+2015, 5.3): none of it on the spot, half on a circle of radius D, where Wang's lambda, Eq. (13), is 2.
+``load_gain``: the same, the more of its weight leans on the outer side. At low speed all but ``straight_gain`` vanish.
+Read as ICRs: icr_x moves ahead with the speed, the treads' ICRs move inwards with speed and radius.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from skidsteer.models.icr import Icr
 from skidsteer.models.model import Model, Parameter
 from skidsteer.se2 import FloatArray
 
-KNEE = 1.0  # [m/s] speed at which half of the yaw gain is reached
+CREEP = 0.02  # [m/s] slower is standing still
 LEAN = 3.0  # [m/s^2] lateral acceleration at which half of the load gain is reached
+STEPS = 12  # Newton's, of which it rarely takes more than five
 
 
 @dataclass(frozen=True)
@@ -39,11 +41,11 @@ class ScheduledIcr(Model):
         *Icr.PARAMETERS,
         Parameter("turn_loss", "s^2", 0.0, 0.0, 5.0, "share of v_x lost for each (rad/s)^2 of yaw rate"),
         Parameter("side_slip", "s", 0.0, -1.0, 1.5, "outward slip for each m/s^2 of lateral acceleration"),
-        Parameter("yaw_gain", "", 0.0, 0.0, 0.5, "share of yaw rate gained at high speed"),
+        Parameter("straight_gain", "", 0.0, 0.0, 1.0, "share of yaw rate gained as the path gets straight"),
         Parameter("load_gain", "", 0.0, 0.0, 0.5, "share of yaw rate gained at high lateral acceleration"),
         Parameter("slip_fade", "s/m", 0.0, 0.0, 2.0, "how side slip saturates with speed"),
     )
-    OPTIONAL: ClassVar[tuple[str, ...]] = ("turn_loss", "side_slip", "yaw_gain", "load_gain")
+    OPTIONAL: ClassVar[tuple[str, ...]] = ("turn_loss", "side_slip", "straight_gain", "load_gain")
 
     icr_y_left: float  # [m]
     icr_y_right: float  # [m]
@@ -52,13 +54,13 @@ class ScheduledIcr(Model):
     alpha_right: float
     turn_loss: float  # [s^2]
     side_slip: float  # [s]
-    yaw_gain: float
+    straight_gain: float
     load_gain: float
     slip_fade: float  # [s/m]
 
     def __post_init__(self) -> None:
         self.constant  # noqa: B018  # refuses what an Icr refuses
-        for name in ("turn_loss", "yaw_gain", "load_gain", "slip_fade"):
+        for name in ("turn_loss", "straight_gain", "load_gain", "slip_fade"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"need {name} >= 0, got {getattr(self, name)}")
 
@@ -75,25 +77,44 @@ class ScheduledIcr(Model):
 
     def _gain(self, v: FloatArray, omega: FloatArray) -> FloatArray:
         a = np.abs(v * omega)
-        return np.asarray(1.0 + self.yaw_gain * v**2 / (KNEE**2 + v**2) + self.load_gain * a / (LEAN + a))
+        return np.asarray(1.0 + self.straight_gain * self._straight(v, omega) + self.load_gain * a / (LEAN + a))
+
+    def _straight(self, v: FloatArray, omega: FloatArray) -> FloatArray:
+        """How straight the path is: 0 on the spot, 1 where both sides run alike."""
+        return np.asarray(v**2 / self._square(v, omega))
+
+    def _square(self, v: FloatArray, omega: FloatArray) -> FloatArray:
+        return np.asarray(v**2 + (self._apart * omega) ** 2 + CREEP**2)
+
+    @property
+    def _apart(self) -> float:
+        return self.icr_y_left - self.icr_y_right
 
     def _fade(self, v: FloatArray) -> FloatArray:
         return np.asarray(1.0 + self.slip_fade * np.abs(v))
 
+    def _slopes(self, v: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Derivatives of v_x by v and omega of the constant ICR, and of omega' by both."""
+        loss, square, a = 1.0 + self.turn_loss * omega**2, self._square(v, omega), np.abs(v * omega)
+        by_a = self.load_gain * LEAN / (LEAN + a) ** 2
+        by_v = 2.0 * self.straight_gain * v * (square - v**2) / square**2
+        by_omega = -2.0 * self.straight_gain * omega * (self._apart * v / square) ** 2
+        return (
+            1.0 / loss,
+            -2.0 * v * self.turn_loss * omega / loss**2,
+            omega * (by_v + by_a * np.abs(omega) * np.sign(v)),
+            self._gain(v, omega) + omega * by_omega + by_a * a,
+        )
+
     def _by_constant(self, v: FloatArray, omega: FloatArray) -> FloatArray:
         """Derivative (..., 3, 2) of the twist by v and omega of the constant ICR."""
-        loss = 1.0 + self.turn_loss * omega**2
-        a = np.abs(v * omega)
-        by_a = self.load_gain * LEAN / (LEAN + a) ** 2
-        turn_by_v = omega * (
-            self.yaw_gain * 2.0 * v * (KNEE / (KNEE**2 + v**2)) ** 2 + by_a * np.abs(omega) * np.sign(v)
-        )
-        turn_by_omega = self._gain(v, omega) + by_a * a
+        x_by_v, x_by_omega, turn_by_v, turn_by_omega = self._slopes(v, omega)
+        fade = self._fade(v)
         rows = (
-            (1.0 / loss, -2.0 * v * self.turn_loss * omega / loss**2),
+            (x_by_v, x_by_omega),
             (
-                -self.icr_x * turn_by_v - self.side_slip * omega / self._fade(v) ** 2,
-                -self.icr_x * turn_by_omega - self.side_slip * v / self._fade(v),
+                -self.icr_x * turn_by_v - self.side_slip * omega / fade**2,
+                -self.icr_x * turn_by_omega - self.side_slip * v / fade,
             ),
             (turn_by_v, turn_by_omega),
         )
@@ -103,15 +124,19 @@ class ScheduledIcr(Model):
         v, omega = _planar(self.constant.twist(v_left, v_right))
         by_icr = self._by_constant(v, omega) @ self.constant.parameter_jacobian(v_left, v_right)[..., [0, 2], :]
         by_icr[..., 1, 2] -= omega * self._gain(v, omega)  # icr_x itself
+        by_apart = -2.0 * self.straight_gain * self._apart * (v / self._square(v, omega)) ** 2 * omega**3
+        for column, sign in ((0, 1.0), (1, -1.0)):  # D itself
+            by_icr[..., 1, column] -= sign * self.icr_x * by_apart
+            by_icr[..., 2, column] += sign * by_apart
         a = np.abs(v * omega)
-        by_gain, by_load = omega * v**2 / (KNEE**2 + v**2), omega * a / (LEAN + a)
+        by_gain, by_load = omega * self._straight(v, omega), omega * a / (LEAN + a)
         none = np.zeros_like(v)
         by_turn_loss = np.stack([-v * (omega / (1.0 + self.turn_loss * omega**2)) ** 2, none, none], axis=-1)
         by_side_slip = np.stack([none, -v * omega / self._fade(v), none], axis=-1)
         by_slip_fade = np.stack([none, self.side_slip * v * omega * np.abs(v) / self._fade(v) ** 2, none], axis=-1)
-        by_yaw_gain = np.stack([none, -self.icr_x * by_gain, by_gain], axis=-1)
+        by_straight_gain = np.stack([none, -self.icr_x * by_gain, by_gain], axis=-1)
         by_load_gain = np.stack([none, -self.icr_x * by_load, by_load], axis=-1)
-        by_terms = np.stack([by_turn_loss, by_side_slip, by_yaw_gain, by_load_gain, by_slip_fade], axis=-1)
+        by_terms = np.stack([by_turn_loss, by_side_slip, by_straight_gain, by_load_gain, by_slip_fade], axis=-1)
         return np.concatenate([by_icr, by_terms], axis=-1)
 
     def speed_jacobian(self, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:  # noqa: D102
@@ -122,19 +147,39 @@ class ScheduledIcr(Model):
         return by_speeds
 
     def wheel_speeds(self, v: ArrayLike, omega: ArrayLike) -> FloatArray:
-        """Rim speeds (..., 2) [m/s] that give v_x = v and omega, by fixed-point steps; NaN where they find none."""
+        """Rim speeds (..., 2) [m/s] that give v_x = v and omega, by Newton's method; NaN where it finds none."""
         v, omega = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(omega, dtype=float))
-        inner_v, inner_omega = v.copy(), omega.copy()
-        for _ in range(ITERATIONS):
-            inner_omega = omega / self._gain(inner_v, inner_omega)
-            inner_v = v * (1.0 + self.turn_loss * inner_omega**2)
-        reached = _planar(self.twist(*np.moveaxis(self.constant.wheel_speeds(inner_v, inner_omega), -1, 0)))
-        miss = np.hypot(reached[0] - v, reached[1] - omega)
-        speeds = self.constant.wheel_speeds(inner_v, inner_omega)
-        return np.where((miss < 1e-6 * (1.0 + np.hypot(v, omega)))[..., None], speeds, np.nan)
+        most_v = v * (1.0 + self.turn_loss * omega**2)  # the loss lowers the speed, by no more than that
+        least_omega = omega / (1.0 + self.straight_gain + self.load_gain)  # nor do the gains raise the yaw rate further
+        limits_v, limits_omega = _ordered(v, most_v), _ordered(least_omega, omega)
+        inner_v, inner_omega, size = v, omega, 1.0 + np.hypot(v, omega)
+        for _ in range(STEPS):
+            miss_v, miss_omega = self._miss(inner_v, inner_omega, v, omega)
+            if (np.maximum(np.abs(miss_v), np.abs(miss_omega)) <= 1e-12 * size).all():
+                break
+            x_by_v, x_by_omega, turn_by_v, turn_by_omega = self._slopes(inner_v, inner_omega)
+            det = x_by_v * turn_by_omega - x_by_omega * turn_by_v
+            inner_v = _within(inner_v - (turn_by_omega * miss_v - x_by_omega * miss_omega) / det, *limits_v)
+            inner_omega = _within(inner_omega - (x_by_v * miss_omega - turn_by_v * miss_v) / det, *limits_omega)
+        reached = np.hypot(*self._miss(inner_v, inner_omega, v, omega)) < 1e-6 * size
+        return np.where(reached[..., None], self.constant.wheel_speeds(inner_v, inner_omega), np.nan)
+
+    def _miss(
+        self, inner_v: FloatArray, inner_omega: FloatArray, v: FloatArray, omega: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """What v_x and omega' miss those asked for by, at v and omega of the constant ICR."""
+        return (
+            inner_v / (1.0 + self.turn_loss * inner_omega**2) - v,
+            inner_omega * self._gain(inner_v, inner_omega) - omega,
+        )
 
 
-ITERATIONS = 60
+def _ordered(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return np.minimum(a, b), np.maximum(a, b)
+
+
+def _within(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    return np.asarray(np.minimum(np.maximum(x, low), high))
 
 
 def _planar(twist: FloatArray) -> tuple[FloatArray, FloatArray]:
