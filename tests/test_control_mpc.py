@@ -351,6 +351,24 @@ def test_without_a_pose_the_observer_reckons_with_the_slip_and_learns_nothing() 
     assert len(a.steps) <= 4
 
 
+def test_a_leap_of_the_map_is_as_sure_as_a_pose_and_tells_nothing_of_the_slip() -> None:
+    x, pose, R = np.linspace(0.1, 0.5, 10), np.array([1.9, 0.25, 0.35]), np.array([1e-4, 2e-4, 3e-4])
+    A = 0.03 * np.random.default_rng(0).normal(size=(10, 10))
+    P = A @ A.T
+    after, covariance = x.copy(), P.copy()
+    assert slip.update(after, covariance, pose, R, 8.0)
+    assert_allclose(after, [*pose, *x[3:]], atol=1e-12)
+    assert_allclose(covariance[:3], np.hstack([np.diag(R), np.zeros((3, 7))]), atol=0.0)
+    assert_allclose(covariance[3:, 3:], P[3:, 3:], atol=0.0)
+    H, S = np.eye(10)[:3], P[:3, :3] + np.diag(R)
+    near = x[:3] + 0.01
+    after, covariance = x.copy(), P.copy()
+    assert not slip.update(after, covariance, near, R, 8.0)
+    K = np.linalg.solve(S, H @ P).T
+    assert_allclose(after, x + K @ (near - x[:3]), atol=1e-12)
+    assert_allclose(covariance, P - K @ S @ K.T, atol=1e-12)
+
+
 @pytest.mark.parametrize("truth", ["scheduled", "wide"])
 def test_poses_at_10_hz_are_no_more_than_they_tell(truth: str) -> None:
     """Between two poses none comes: what is reckoned there must not count as seen. (It did: 1.3 and 0.8 cm.)"""
