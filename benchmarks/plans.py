@@ -100,9 +100,11 @@ TEXT = (
 MEANING = (
     "",
     "A lap holds two operating points all the time. What a model is wrong by there does not change on the way, so that",
-    "it adds up with the distance, while sigma takes what the parameters do not explain for a random walk. Where no",
-    "model fits the ground, an end is therefore further off than its sigma says. Circles about as wide and as fast as",
-    "the arcs measure that very operating point; their sigma rests on an assumed noise.",
+    "it adds up with the angle turned. Sigma holds that: the share of a turn that predictions are off by all through",
+    "it is found on held-out windows (`regions.turning` of the calibration). What lasts of the way ahead is not told",
+    "apart from noise: on loose gravel, where a constant ICR errs in the way rather than in the turn, an end may be",
+    "further off than its sigma says. Circles about as wide and as fast as the arcs measure that very operating point;",
+    "their sigma rests on an assumed noise.",
 )
 
 
