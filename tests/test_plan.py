@@ -147,6 +147,15 @@ def test_regions_that_claim_more_widen_what_is_said() -> None:
     assert spread[1] == pytest.approx(2.0 * spread[0], rel=1e-3)
 
 
+def test_turns_that_are_off_widen_the_end_by_the_angle_turned() -> None:
+    request = Request(OBSTACLE, 0.4, 0.5, 0.4)
+    sure = circumnavigate(driver(SKEW), request)
+    unsure = circumnavigate(replace(driver(SKEW), regions=Regions(1.0, 1e6, 0.02)), request)
+    widened = np.sqrt(unsure.end_sigmas[2] ** 2 - sure.end_sigmas[2] ** 2)
+    assert widened == pytest.approx(0.02 * abs(sure.end[2]))
+    assert unsure.sure_gap < sure.sure_gap
+
+
 def coded(model: Model = SKEW) -> Driver:
     return replace(driver(model, lag=0.0), encoding=Encoding(0.05, -0.02, 1, 40))
 
