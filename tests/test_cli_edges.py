@@ -20,7 +20,7 @@ import pytest
 from rich.console import Console
 
 from conftest import Call, Run
-from skidsteer import calibrate
+from skidsteer import calibrate, console
 from skidsteer.cli import ORDER, OneLine
 from skidsteer.cli import words as told_words
 from skidsteer.console import escape
@@ -282,3 +282,15 @@ def test_an_output_that_is_full_is_one_line() -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert done.stderr == "skidsteer: cannot write to standard output: No space left on device\n"
+
+
+def test_a_table_of_numbers_is_whole_however_narrow(
+    calibrated: Path, tmp_path: Path, short: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "a_drive_with_a_name_that_is_longer_than_the_terminal"
+    shutil.copytree(short, folder)
+    monkeypatch.setattr(console, "OUT", Console(highlight=False, width=40))
+    code, out, _ = call("evaluate", calibrated, folder)
+    assert code == 0
+    assert re.search(rf"^{folder.name} +\d+ +\d\.\d{{3}} +\d\.\d{{3}} ", out, re.MULTILINE)
+    assert "…" not in out

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape as without_markup
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.segment import Segments
 from rich.table import Table
 
 from skidsteer.calibration import Calibration, Estimate, HeldOut, Observability
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 OUT = Console(highlight=False)
 ERR = Console(stderr=True, highlight=False)
+WIDE = 1000  # no table of names and numbers is wider
 
 
 def escape(text: str) -> str:
@@ -56,13 +58,13 @@ def show_calibration(calibration: Calibration) -> None:
     """Parameters with their sigmas, held-out errors, and what to know about them."""
     drives = ", ".join(d.name for d in calibration.provenance.drives)
     OUT.print(f"[bold]{escape(calibration.vehicle.name)}[/bold] from {escape(drives)}: model {calibration.model.NAME}")
-    OUT.print(_parameters(calibration))
+    _print_whole(_parameters(calibration))
     if width := calibration.effective_track_width:
         OUT.print(
             f"Effective track width {' +- '.join(_numbers(width))} m, nominal {calibration.vehicle.track_width:g} m."
         )
     if calibration.held_out:
-        OUT.print(_errors(calibration.held_out, "held-out error", chosen=calibration.model.NAME))
+        _print_whole(_errors(calibration.held_out, "held-out error", chosen=calibration.model.NAME))
         OUT.print(before_after(calibration))
     if calibration.controller is not None and calibration.controller.held_out is not None:
         OUT.print(_as_multipliers(calibration.controller.held_out))
@@ -70,7 +72,7 @@ def show_calibration(calibration: Calibration) -> None:
     for warning in calibration.warnings:
         OUT.print(f"[yellow]Note:[/yellow] {escape(warning)}.")
     if calibration.profiles:
-        OUT.print(_profiles(calibration))
+        _print_whole(_profiles(calibration))
 
 
 def _profiles(calibration: Calibration) -> Table:
@@ -191,6 +193,13 @@ def _errors(figures: Mapping[str, HeldOut], title: str, chosen: str = "", count:
     return table
 
 
+def _print_whole(table: Table) -> None:
+    """Print a table of names and numbers, in which nothing is cut: in a narrower terminal its lines go on below."""
+    natural = OUT.measure(table, options=OUT.options.update(width=WIDE)).maximum
+    lines = OUT.render(table, OUT.options.update(width=max(OUT.width, natural)))
+    OUT.print(Segments(lines), crop=False, end="")
+
+
 def _figure(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"
 
@@ -200,7 +209,7 @@ def show_evaluation(evaluation: Evaluation) -> None:
     rows = dict(evaluation.drives)
     if len(rows) > 1:
         rows["all"] = evaluation.total
-    OUT.print(_errors(rows, "error", count="drive"))
+    _print_whole(_errors(rows, "error", count="drive"))
     if evaluation.total.coverage_68 is not None and evaluation.total.coverage_95 is not None:
         OUT.print(
             f"Predicted regions that claim 68 % and 95 % hold {100 * evaluation.total.coverage_68:.0f} % and"
@@ -218,7 +227,7 @@ def _excess(e: Excess | None) -> str:
 
 def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> None:
     """Held-out errors of all models, and the verdict."""
-    OUT.print(_errors(held_out, "held-out error", chosen=selection.name))
+    _print_whole(_errors(held_out, "held-out error", chosen=selection.name))
     table = Table("against the best", "translation", "yaw", "", box=None, pad_edge=False)
     for name, c in selection.against_best.items():
         table.add_row(name, _excess(c.translation), _excess(c.yaw), "worse" if c.worse else "")
@@ -310,6 +319,7 @@ def show_check(
         table = Table("topic", "type", "messages", "could serve as", "used as", box=None, pad_edge=False)
         for t in topics.topics:
             table.add_row(escape(t.name), escape(t.type), str(t.count), ", ".join(t.serves), t.used_as)
+        table.columns[0].overflow = table.columns[1].overflow = "fold"
         OUT.print(table)
     parts = {"pose": drive.pose, "position": drive.position, "gyro": drive.gyro, "command": drive.command}
     has = ", ".join(f"{name} {len(series)}" for name, series in parts.items() if series is not None)
