@@ -294,3 +294,10 @@ def test_a_table_of_numbers_is_whole_however_narrow(
     assert code == 0
     assert re.search(rf"^{folder.name} +\d+ +\d\.\d{{3}} +\d\.\d{{3}} ", out, re.MULTILINE)
     assert "…" not in out
+
+
+def test_the_folder_of_a_calibration_will_do(calibrated: Path, short: Path, call: Call) -> None:
+    code, out, _ = call("evaluate", calibrated.parent, short, "--json")
+    assert (code, out) == (0, call("evaluate", calibrated, short, "--json")[1])
+    code, _, err = call("evaluate", short, short)
+    assert (code, err) == (1, f"skidsteer: {short / 'calibration.yaml'}: no such file\n")

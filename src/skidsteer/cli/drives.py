@@ -70,7 +70,7 @@ def design(
 @app.command()
 @on_drives
 def odometry(
-    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml, or its folder")],
     drive: Annotated[list[str], typer.Argument(metavar="DRIVE", help=DRIVE_HELP)],
     source: Source,
     out: Annotated[Path, typer.Option(metavar="FILE", help="trajectory of base_link to write, TUM format")],

@@ -14,7 +14,7 @@ from skidsteer.sources import Source, on_drives
 @app.command()
 @on_drives
 def export(
-    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml, or its folder")],
     source: Source,
     to: Annotated[str, typer.Option(metavar="FORMAT", help="ros2-control, robot-localization, p3at or json")],
     drives: Annotated[

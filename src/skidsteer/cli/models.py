@@ -96,7 +96,7 @@ def calibrate(
 @app.command()
 @on_drives
 def evaluate(
-    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml, or its folder")],
     drives: Drives,
     source: Source,
     window: Window = 2.0,
@@ -197,10 +197,10 @@ def _write(
 ) -> None:
     from skidsteer.export import texts
     from skidsteer.io.atomic import write_files
-    from skidsteer.io.calibration_file import calibration_text
+    from skidsteer.io.calibration_file import FILE, calibration_text
     from skidsteer.report import gather, page
 
     if out is not None:
         shown = page(gather(calibration, drives, surfaces, folds=folds))
-        files = {"calibration.yaml": calibration_text(calibration), "report.html": shown, **texts(calibration)}
+        files = {FILE: calibration_text(calibration), "report.html": shown, **texts(calibration)}
         write_files(folder(out), files)

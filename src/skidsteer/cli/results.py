@@ -14,7 +14,7 @@ from skidsteer.sources import Source, on_drives
 @app.command()
 @on_drives
 def report(
-    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml")],
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml, or its folder")],
     source: Source,
     drives: Annotated[list[str] | None, typer.Argument(metavar="DRIVE", help=DRIVE_HELP)] = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="page to write")] = Path("report.html"),

@@ -33,6 +33,7 @@ from skidsteer.prediction import Regions
 from skidsteer.vehicle import Vehicle
 
 SCHEMA = 1
+FILE = "calibration.yaml"
 LARGEST = 16 << 20  # [bytes]
 
 _Finite = Annotated[float, Field(gt=-1e12, lt=1e12)]  # neither NaN nor a number whose square is none; years in s fit
@@ -235,11 +236,12 @@ def _without_none(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration.
+    """Read a calibration from its file, or from the folder that ``calibrate --out`` wrote it to.
 
     Raises:
         DataError: no such file, not YAML, not a calibration, of another version, or with values that cannot be.
     """
+    path = os.path.join(path, FILE) if os.path.isdir(path) else path
     content = _parse(path, decode(path, read_bytes(path, LARGEST)))
     version = content.get("skidsteer_calibration")
     if version != SCHEMA:
