@@ -328,6 +328,15 @@ def test_a_side_that_stands_while_the_other_drives_it_round_is_not_dead(drive: D
     assert not [f for f in examine(wheels(drive, values)) if f.kind == "frozen_wheels"]
 
 
+def test_segments_with_a_pose_at_either_end_are_seen_to_move(drive: Drive) -> None:
+    assert drive.pose is not None
+    start = np.arange(20.0, 200.0, 5.0)
+    segments = np.stack([start, start + 2.0], axis=1)
+    ends = np.unique(np.searchsorted(drive.pose.t, segments.ravel()))
+    few = replace(drive, pose=Series(drive.pose.t[ends], drive.pose.values[ends], "pose"), segments=segments)
+    assert not [f for f in examine(few) if f.kind == "standing_still"]
+
+
 def test_a_localization_that_starts_anew_is_found(drive: Drive) -> None:
     assert drive.pose is not None
     finding = the("leap", replace(drive, pose=restarted(drive.pose)))

@@ -220,6 +220,16 @@ def test_standing_windows_of_positions_do_not_count() -> None:
     assert (np.hypot(*(drive.position.values[end] - at).T) >= 0.1).all()
 
 
+def test_two_positions_tell_the_way_between_them() -> None:
+    drive = positions_of(PERFECT)
+    assert drive.position is not None
+    few = replace(drive, position=Series(drive.position.t[:200:10], drive.position.values[:200:10], "position"))
+    ends = np.stack([few.position.t[:-1:2], few.position.t[1::2]], axis=1)  # type: ignore[union-attr]
+    errors = window_errors(TRUTH, replace(few, segments=ends), TIMING)
+    assert len(errors)
+    assert_allclose(errors.translation, 0.0, atol=1e-3)
+
+
 # Gyro
 
 

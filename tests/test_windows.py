@@ -96,6 +96,27 @@ def test_a_reference_that_froze_catches_up() -> None:
     assert_allclose(leaps(replace(drive, pose=Series(drive.pose.t, values, "pose"))), [[11.4, 11.5]])
 
 
+def test_a_smaller_leap_shows_where_the_robot_stands() -> None:
+    drive = drive_at(np.arange(0.0, 20.0, 0.1))
+    assert drive.pose is not None
+    stands = drive.wheels.values * (np.abs(drive.wheels.t - 10.0) > 3.0)[:, None]
+    values = drive.pose.values.copy()
+    values[100:, 0] -= 1.0
+    moved = replace(drive, pose=Series(drive.pose.t, values, "pose"))
+    assert not len(leaps(moved))
+    assert len(leaps(replace(moved, wheels=Series(drive.wheels.t, stands, "wheels")))) == 1
+
+
+def test_a_reference_that_comes_rarely_is_used_all_the_same() -> None:
+    """Windows of 6 s with a pose at either end, and one long gap that tells little."""
+    drive = drive_at([0.0, 6.0, 10.0, 16.0, 20.0, 26.0], [[0.0, 6.0], [10.0, 16.0], [20.0, 26.0]])
+    assert_allclose(spans(increment_windows(drive)), drive.segments)
+    once = drive_at(np.r_[np.arange(0.0, 60.0, 6.0), np.arange(90.0, 120.0, 6.0)])
+    assert_allclose(np.diff(spans(increment_windows(once))), 6.0)
+    often = drive_at(np.r_[np.arange(0.0, 5.0, 0.1), np.arange(11.0, 20.0, 0.1)])
+    assert np.diff(spans(increment_windows(often))).max() < 1.0
+
+
 # Which windows are judged
 
 

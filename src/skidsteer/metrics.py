@@ -161,7 +161,7 @@ def _position_errors(model: Model, drive: Drive, timing: Timing, windows: Window
     t, errors = drive.position.t, np.full(len(windows), np.nan)
     for k, (start, end) in enumerate(zip(windows.start, windows.end, strict=True)):
         i, j = np.searchsorted(t, [start, end])
-        if j - i < 2:
+        if j == i:
             continue
         inner = Windows(t[i:j], t[i + 1 : j + 1], np.zeros((j - i, 3)), np.ones(j - i, bool))
         body = chain(predict(model, drive.wheels, inner, timing))

@@ -19,6 +19,8 @@ LEAP, LEAP_TURN = 0.5, np.radians(45.0)  # [m], [rad] steps of a reference that 
 FASTER, SCATTER = 3.0, 0.3  # times the wheels at their fastest, [s] of the stamps: no motion of the robot
 FROZEN, CATCH_UP = 1e-3, 2.0  # [m] a step that is smaller; [s] for which a reference freezes
 RARE = 0.05  # share of the steps
+LATEST = 1.5  # [s] by which the reference may be late or early
+USUAL = 3.0  # times the median increment: longer ones are gaps
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
 TURN_SPACING = 0.5  # [s] of windows over which a gyro alone is compared
 CHUNK = 200_000  # steps handled at once for models that are not linear in the speeds: bounds the memory
@@ -114,21 +116,31 @@ def leaps(drive: Drive) -> FloatArray:
     """Times (k, 2) [s] of the samples before and after each step of the reference that is no motion of the robot.
 
     A localization that starts anew, another fix: a step of ``LEAP`` and ``FASTER`` times more than the wheels at their
-    fastest make in that time, or since the reference last moved, for one that froze catches up; in yaw, more than they
-    turn without slip. None is told where they are not rare: a unit is wrong instead.
+    fastest about then make in that time, or since the reference last moved, for one that froze catches up; in yaw, more
+    than they turn without slip. None is told where they are not rare: a unit is wrong instead.
     """
-    reference, wheels = drive.reference, drive.wheels.values
+    reference, wheels = drive.reference, drive.wheels
     if reference is None or len(reference) < 2:
         return np.zeros((0, 2))
     t, step = reference.t, np.diff(reference.values, axis=0)
     way = np.hypot(step[:, 0], step[:, 1])
-    rolled = _time_to_move(t, way > FROZEN)
-    leap = way > LEAP + FASTER * rolled * np.abs(wheels).max()
-    if step.shape[1] > 2:
-        spin = np.abs(np.diff(wheels, axis=1)).max() / drive.vehicle.track_width
-        leap |= np.abs(wrap(step[:, 2])) > LEAP_TURN + rolled * spin
-    at = np.flatnonzero(leap)
+    turn = np.abs(wrap(step[:, 2])) if step.shape[1] > 2 else np.zeros(len(step))
+    large = np.flatnonzero((way > LEAP) | (turn > LEAP_TURN))
+    rolled = _time_to_move(t, way > FROZEN)[large]
+    speed, spin = _fastest(wheels, t[large + 1] - rolled - LATEST, t[large + 1] + LATEST)
+    leap = way[large] > LEAP + FASTER * rolled * speed
+    leap |= turn[large] > LEAP_TURN + rolled * spin / drive.vehicle.track_width
+    at = large[leap]
     return np.stack([t[at], t[at + 1]], axis=1) if len(at) <= RARE * len(step) else np.zeros((0, 2))
+
+
+def _fastest(wheels: Series, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Highest speed of a side, and difference of both (k,) [m/s], that the wheels told between times (k,) [s]."""
+    sizes = np.stack([np.abs(wheels.values).max(axis=1), np.abs(np.diff(wheels.values, axis=1)[:, 0])], axis=-1)
+    first, last = np.searchsorted(wheels.t, start), np.searchsorted(wheels.t, end)
+    top = np.array([sizes[max(a - 1, 0) : b + 1].max(axis=0) for a, b in zip(first, last, strict=True)])
+    speed, difference = top.reshape(-1, 2).T
+    return speed, difference
 
 
 def _time_to_move(t: FloatArray, moves: np.ndarray) -> FloatArray:
@@ -154,6 +166,7 @@ def covered(t: FloatArray, start: FloatArray, end: FloatArray) -> np.ndarray:
 def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) -> Windows:
     """Windows between neighbouring samples of the reference at least ``spacing`` [s] apart; none above ``longest``.
 
+    Where the reference comes so rarely that most would be, none above ``USUAL`` times their median.
     Where the reference tells no heading, the yaw of the motions is zero and their positions are along the axes of the
     reference. Where a gyro is all there is, windows of ``TURN_SPACING`` or more follow each other on its clock.
     """
@@ -161,7 +174,8 @@ def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) 
     index = [_thinned(reference.t, _inside(reference.t, piece), spacing) for piece in pieces(drive)]
     pairs = np.concatenate([np.stack([i[:-1], i[1:]], axis=1) for i in index if len(i) > 1] or [np.zeros((0, 2), int)])
     windows = _windows(reference, pairs, sees)
-    return windows.where(windows.end - windows.start <= longest)
+    lasted = windows.end - windows.start
+    return windows.where(lasted <= max(longest, USUAL * float(np.median(lasted))) if len(windows) else lasted > 0.0)
 
 
 def _reference(drive: Drive, spacing: float = 0.0) -> tuple[Sees, Series]:

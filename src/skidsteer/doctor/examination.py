@@ -26,6 +26,9 @@ TESTS = (
 )
 
 
+SEEN_OF_A_DEAD_SIDE = ("clock_jump", "clock_drift", "clock_offset", "wheel_radius", "circle_only")
+
+
 def examine(drive: Drive) -> tuple[Finding, ...]:
     """What is wrong with a drive, or worth knowing, the worst first; empty where nothing is."""
     evidence = gather(drive)
@@ -38,10 +41,10 @@ def examine(drive: Drive) -> tuple[Finding, ...]:
 def _unexplained(found: list[Finding]) -> list[Finding]:
     """The findings without what others explain.
 
-    Gaps that a clock set forward left in the stamps of the same part; clocks compared with a side that is dead.
+    Gaps that a clock set forward left in the stamps of the same part; what a dead side makes of clocks and sizes.
     """
     if any(f.kind == "frozen_wheels" for f in found):
-        found = [f for f in found if not f.kind.startswith("clock_")]
+        found = [f for f in found if f.kind not in SEEN_OF_A_DEAD_SIDE]
     jumps = [(f.part, start, end) for f in found if f.kind == "clock_jump" for start, end in f.where]
     out = []
     for f in found:

@@ -130,10 +130,16 @@ def _total(t: FloatArray, steps: FloatArray, cut: BoolArray) -> Total:
 
 
 def grid_step(drive: Drive) -> float:
-    """Step [s] of the grids of a drive: ``STEP``, more where it would take too many points or samples are sparse."""
+    """Step [s] of the grids of a drive: ``STEP``, more where it would take too many points or samples are sparse.
+
+    In a drive of segments no more than leaves room for several rates in each.
+    """
     parts = [s for s in (drive.wheels, drive.reference, drive.gyro) if s is not None]
     longest = max(s.t[-1] - s.t[0] for s in parts)
-    return max(STEP, float(longest) / MOST, 0.4 * max(sampling_period(s.t) for s in parts))
+    sparse = 0.4 * max(sampling_period(s.t) for s in parts)
+    if drive.segments is not None:
+        sparse = min(sparse, STEP / WIDTH * 0.4 * float(np.median(np.diff(drive.segments, axis=1))))
+    return max(STEP, float(longest) / MOST, sparse)
 
 
 def sampled(total: Total, step: float) -> Signal:
