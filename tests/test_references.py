@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from skidsteer.drive import Drive, Series
-from skidsteer.evaluation import evaluate
+from skidsteer.evaluation import evaluate, mount
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate, candidates
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.io.drives import load_drive
@@ -219,3 +219,6 @@ def test_where_the_sensor_sits_is_kept_for_those_who_use_the_model() -> None:
     assert (found.mount.x, found.mount.y, found.mount.yaw) == (MOUNT.x, MOUNT.y, 0.0)
     assert found.estimates["mount_x"].sigma == 0.0
     assert evaluate(found, [drive]).total.translation_m.median < 0.03
+    elsewhere = replace(found, estimates=found.estimates | {"mount_x": replace(found.estimates["mount_x"], value=1.0)})
+    assert mount(elsewhere, drive) == found.mount
+    assert mount(elsewhere, replace(drive, antenna=None)) == elsewhere.mount

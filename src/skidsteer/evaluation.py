@@ -11,7 +11,7 @@ from skidsteer.errors import DataError
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.vehicle import Vehicle
-from skidsteer.windows import increment_windows
+from skidsteer.windows import Mount, increment_windows
 
 ALIKE = 0.005  # share by which the measures of a robot may differ from file to file
 
@@ -45,9 +45,10 @@ def evaluate(
     offsets: dict[str, float] = {}
     for drive in drives:
         timing = calibration.timing
+        place = mount(calibration, drive)
         if fit_delay and drive.reference is not None:
             timing = replace(timing, time_offset=fit_offset(calibration, drive))
-        errors = window_errors(calibration.model, drive, timing, length, calibration.mount, calibration.uncertainty)
+        errors = window_errors(calibration.model, drive, timing, length, place, calibration.uncertainty)
         if not len(errors):
             raise DataError(
                 f"{drive.name}: no window of {length:g} s in which wheels and reference are there and the robot moves"
@@ -57,6 +58,12 @@ def evaluate(
         parts.append(errors)
     total = HeldOut.of(WindowErrors.join(parts), calibration.regions)
     return Evaluation(total, figures, offsets, other_robots(calibration, drives))
+
+
+def mount(calibration: Calibration, drive: Drive) -> Mount:
+    """Where the reference of a drive sits: that of the calibration, but where the drive tells its antenna's place."""
+    told = drive.antenna if drive.pose is None and drive.position is not None else None
+    return calibration.mount if told is None else Mount(*told)
 
 
 def other_robots(calibration: Calibration, drives: Sequence[Drive]) -> tuple[str, ...]:
@@ -91,5 +98,5 @@ def measures(vehicle: Vehicle) -> str:
 
 def fit_offset(calibration: Calibration, drive: Drive) -> float:
     """Time offset [s] of a drive with reference poses, by maximum likelihood with model and lag as they are."""
-    options = FitOptions(lag=calibration.timing.lag, mount=calibration.mount, fix_model=True)
+    options = FitOptions(lag=calibration.timing.lag, mount=mount(calibration, drive), fix_model=True)
     return fit(calibration.model, [drive], [increment_windows(drive)], options).timings[0].time_offset
