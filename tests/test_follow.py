@@ -32,7 +32,7 @@ from skidsteer.control import (
 from skidsteer.errors import DataError, RequestError
 from skidsteer.follow import Ends, Jump, Run, Sensing, follow, summarize
 from skidsteer.follow.driver import Driver, Memory
-from skidsteer.follow.known_pose import GRACE, STAND, KnownPose
+from skidsteer.follow.known_pose import GRACE, SLOWING, KnownPose, grace
 from skidsteer.follow.sensing import Localization, twist_meter
 from skidsteer.models import Icr, ScheduledIcr
 from skidsteer.paths import Path, arc, clothoid, lemniscate, line, stadium
@@ -48,6 +48,7 @@ GRASS = parse_ground("grass")
 PLANTS = ["kinematic", "terramechanic", pytest.param("mujoco", marks=engine)]
 WHEELS = Wheels(PLANT, 1.2)
 EIGHT = lemniscate(5.0)
+STAND = GRACE + SLOWING  # [s] without a pose, from which on the robot stands
 
 
 def controllers(wheels: Wheels, speed: float = 1.0) -> dict[str, Controller[Any]]:
@@ -220,6 +221,52 @@ def test_short_gaps_are_reckoned_over() -> None:
     assert run.outcome == "arrived"
     assert run.t[-1] == pytest.approx(whole.t[-1], abs=0.1)
     assert_allclose(run.states[:300, :3], whole.states[:300, :3], atol=1e-6)  # the model is the truth
+
+
+@pytest.mark.parametrize(("pose_rate", "each"), [(None, 1), (80.0, 1), (10.0, 5), (5.0, 10)])
+def test_poses_come_at_their_rate(pose_rate: float | None, each: int) -> None:
+    """Each as late as told; the robot does not take one that is due only later for a lost one."""
+    run = driven("pentzer", line(6.0), sensing=Sensing(delay=0.06, pose_rate=pose_rate))
+    assert run.outcome == "arrived"
+    came = np.isfinite(run.seen[:, 0])
+    assert_array_equal(came, np.arange(len(run.t)) % each == 0)
+    late = np.maximum(np.arange(len(run.t)) - 3, 0)
+    assert_allclose(run.seen[came], run.placed[late][came], atol=1e-12)
+    whole = driven("pentzer", line(6.0), sensing=Sensing(delay=0.06))
+    assert run.t[-1] == pytest.approx(whole.t[-1], abs=0.3)
+    assert run.states[:, 3].max() == pytest.approx(whole.states[:, 3].max(), rel=1e-3)
+
+
+def test_poses_whose_rate_divides_none_of_the_controllers_come_as_often() -> None:
+    seen = Localization(Sensing(pose_rate=15.0), 0)
+    came = np.array([seen.see((0.0, 0.0, 0.0), 0.02 * i) is not None for i in range(500)])
+    assert came.sum() == 150
+    assert set(np.diff(np.flatnonzero(came)).tolist()) == {3, 4}  # the first sample at or after each 1 / 15 s
+    assert_array_equal(np.flatnonzero(came), np.ceil(np.arange(150) * 50.0 / 15.0 - 1e-9))
+
+
+@LAWS
+def test_a_pose_lost_for_a_second_where_they_come_at_5_hz(law: str) -> None:
+    """One that fails to come changes nothing; without any for a second the robot stands, and goes on."""
+    whole = Sensing(delay=0.05, pose_rate=5.0)
+    runs = [driven(law, EIGHT, lag=0.1, sensing=replace(whole, lost=lost)) for lost in ((), ((2.1, 2.3), (3.1, 4.3)))]
+    run = runs[1]
+    assert run.outcome == "laps done"
+    asked, fastest = (np.abs(each.sent).max(axis=1)[100:150] for each in runs)
+    assert (fastest > 0.9 * asked).all()
+    assert_array_equal(run.sent[(run.t > 3.0 + grace(5.0) + SLOWING + 0.01) & (run.t < 4.3)], 0.0)
+    assert np.abs(run.cross_track).max() < 0.35
+
+
+def test_a_robot_that_stands_between_two_poses_stands() -> None:
+    class Still(Pentzer):
+        def command(self, pose: object, twist: object, state: object) -> tuple[float, float]:
+            return 0.0, 0.0
+
+    still = Still(pentzer.GAINS["published"], 1.0, 0.0)
+    sensing = Sensing(pose_rate=10.0)
+    run = follow(RollingModel(PLANT, (0.0, 0.0, 0.0)), still, WHEELS, line(5.0), sensing)
+    assert run.outcome == "stands still"
 
 
 def test_no_pose_at_the_beginning_is_waited_for() -> None:
@@ -458,6 +505,11 @@ def test_a_start_farther_off_may_be_allowed() -> None:
         (
             lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, 0.0),
             "acceleration of the wheels must be above 0",
+        ),
+        (lambda: Sensing(pose_rate=0.0), "the rate of the poses must be above 0 Hz, got 0"),
+        (
+            lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, pose_rate=math.nan),
+            "the rate of the poses must be above 0 Hz, got nan",
         ),
     ],
 )

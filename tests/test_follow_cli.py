@@ -162,6 +162,7 @@ def test_the_same_seed_drives_the_same_way(call: Call, tmp_path: Path) -> None:
         ("--path line --jump 1", "jump '1': write METRES@SECONDS or METRES@PERCENT%"),
         ("--path line --lost 3", "times without poses '3': write FROM-TO in s, such as 8-9,20-20.5"),
         ("--path line --rate 0", "the rate of the controller must be above 0 Hz and at most 1000, got 0.0"),
+        ("--path line --pose-rate 0", "the rate of the poses must be above 0 Hz, got 0"),
         ("--path line --rate 1e6", "must be above 0 Hz and at most 1000, got 1000000.0"),
         ("--path line --size 1e9", "a path of 1e+09 m is too long, at most 100000 m"),
         ("--path lemniscate --size 5 --laps 1e6", "m at 1 m/s take longer than an hour; give a shorter path"),

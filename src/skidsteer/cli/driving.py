@@ -52,6 +52,9 @@ def follow(
     rate: Annotated[float, typer.Option(metavar="HZ", help="of the controller")] = 50.0,
     lag: Annotated[float, typer.Option(metavar="S", help="of the wheels")] = 0.1,
     delay: Annotated[float, typer.Option(metavar="S", help="of the poses")] = 0.0,
+    pose_rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="of the poses; default: one each time the controller is asked")
+    ] = None,
     position_noise: Annotated[float, typer.Option(metavar="M", help="of the poses, each axis")] = 0.0,
     yaw_noise: Annotated[float, typer.Option(metavar="DEG", help="of the poses")] = 0.0,
     jump: Annotated[str, typer.Option(metavar="M@S,...", help="leaps of the localization, also M@PERCENT%")] = "",
@@ -100,6 +103,7 @@ def follow(
             math.radians(yaw_noise),
             jumps=words.parse_jumps(jump),
             lost=words.parse_spans(lost),
+            pose_rate=pose_rate,
         ),
         laps,
         off,

@@ -13,7 +13,7 @@ from typing import Generic
 from skidsteer.control import Command, Controller, Wheels
 from skidsteer.control.path_state import State
 from skidsteer.errors import RequestError
-from skidsteer.follow.known_pose import KnownPose, finite
+from skidsteer.follow.known_pose import KnownPose, finite, grace
 from skidsteer.follow.sensing import Triple, twist_function
 from skidsteer.paths import Path
 
@@ -40,16 +40,25 @@ class Driver(Generic[State]):
         wheels: the model that turns commands into rim speeds, which is what is believed of the robot; their limit.
         path: to follow.
         acceleration: [m/s^2] by which no rim speed sent changes faster.
+        pose_rate: [Hz] at which poses come: one that is due only later is not lost.
 
     Raises:
-        RequestError: an acceleration that is not above 0.
+        RequestError: an acceleration or a rate that is not above 0.
     """
 
     def __init__(
-        self, controller: Controller[State], wheels: Wheels, path: Path, acceleration: float = math.inf
+        self,
+        controller: Controller[State],
+        wheels: Wheels,
+        path: Path,
+        acceleration: float = math.inf,
+        pose_rate: float = math.inf,
     ) -> None:
         if not acceleration > 0.0:
             raise RequestError(f"the acceleration of the wheels must be above 0 m/s^2, got {acceleration}")
+        if not pose_rate > 0.0:
+            raise RequestError(f"the rate of the poses must be above 0 Hz, got {pose_rate}")
+        self._grace = grace(pose_rate)
         self._controller, self._wheels, self._path, self._acceleration = controller, wheels, path, acceleration
         self._twist = twist_function(wheels.model)
 
@@ -63,7 +72,7 @@ class Driver(Generic[State]):
             dt: [s] since the last sample.
         """
         twist = twist if finite(twist) else (before.realised[0], 0.0, before.realised[1])
-        known = KnownPose.first(seen) if before.known is None else before.known.after(dt, twist, seen)
+        known = KnownPose.first(seen, self._grace) if before.known is None else before.known.after(dt, twist, seen)
         if known is None:
             return self._sent(before, None, None, STANDING, dt)
         if before.state is None:

@@ -92,7 +92,7 @@ def follow(
     """
     refuse_path(path, wheels)
     refuse_start(path, rolling.state[:3], ends.off)
-    driver = Driver(controller, wheels, path, acceleration)
+    driver = Driver(controller, wheels, path, acceleration, sensing.poses)
     localization, meter = Localization(sensing, seed), twist_meter(wheels.model, sensing, seed)
     memory: Memory[State] = Memory()
     judge, rows, dt, end = Judge(path, ends), list[Row](), 1.0 / sensing.rate, None
@@ -141,7 +141,7 @@ class Judge:
 
     def end(self, t: float, at: PathError, memory: Memory[State], fastest: float) -> End | None:
         """Outcome and reason, or None: drive on; ``fastest`` [m/s] is the faster rim."""
-        stands = fastest < STILL and memory.known is not None and memory.known.age == 0.0
+        stands = fastest < STILL and memory.known is not None and memory.known.caution == 1.0
         self._since = (self._since if self._since is not None else t) if stands else None
         left = math.hypot(self._path.length - self.s, at.x_e, at.y_e)
         if self._path.closed and self.share >= 1.0:

@@ -62,16 +62,24 @@ class Sensing:
     gyro_sigma: float = 0.0  # [rad/s]
     jumps: tuple[Jump, ...] = ()
     lost: tuple[tuple[float, float], ...] = ()  # [s] from and to: no pose comes
+    pose_rate: float | None = None  # [Hz] None, or more than the controller's: one comes in each of its samples
 
     def __post_init__(self) -> None:
         if not 0.0 < self.rate <= 1000.0:
             raise RequestError(f"the rate of the controller must be above 0 Hz and at most 1000, got {self.rate}")
+        if self.pose_rate is not None and not 0.0 < self.pose_rate < math.inf:
+            raise RequestError(f"the rate of the poses must be above 0 Hz, got {self.pose_rate:g}")
         for name, words in NOT_NEGATIVE.items():
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise RequestError(f"the {words} must be at least 0, got {getattr(self, name):g}")
         for start, end in self.lost:
             if not start < end:
                 raise RequestError(f"poses are lost from one time to a later one, got {start} to {end} s")
+
+    @property
+    def poses(self) -> float:
+        """Rate [Hz] at which poses come."""
+        return self.rate if self.pose_rate is None else min(self.pose_rate, self.rate)
 
 
 IDEAL = Sensing()
@@ -85,6 +93,7 @@ class Localization:
         self._offset: FloatArray | None = None  # of the map
         self._past: list[Triple] = []  # poses in the map
         self._late = sensing.delay * sensing.rate  # [samples]
+        self._share = sensing.poses / sensing.rate  # of the samples at which a pose comes
         self._sigma = np.array([sensing.position_sigma, sensing.position_sigma, sensing.yaw_sigma])
         self._rng = np.random.default_rng([seed, 0]) if self._sigma.any() else None
         self._noise: list[Triple] = []
@@ -101,7 +110,7 @@ class Localization:
     def see(self, placed: Triple, t: float) -> Triple | None:
         """The pose told at a time [s], late and noisy; None where none comes. Called once a sample."""
         self._past.append(placed)
-        if any(start <= t < end for start, end in self._sensing.lost):
+        if not self._due() or any(start <= t < end for start, end in self._sensing.lost):
             return None
         pose = self._delayed() if self._late > 0.0 else placed
         if self._rng is None:
@@ -110,6 +119,11 @@ class Localization:
             self._noise = (self._sigma * self._rng.standard_normal((BLOCK, 3))).tolist()
         dx, dy, turn = self._noise.pop()
         return pose[0] + dx, pose[1] + dy, pose[2] + turn
+
+    def _due(self) -> bool:
+        """Whether a pose comes in this sample: the first one at or after each period of the poses."""
+        n = len(self._past) - 1
+        return math.floor(n * self._share + 1e-9) > math.floor((n - 1) * self._share + 1e-9)
 
     def _delayed(self) -> Triple:
         at = max(len(self._past) - 1 - self._late, 0.0)
