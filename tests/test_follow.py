@@ -27,6 +27,7 @@ from skidsteer.control import (
     huskic,
     icr_x_at,
     pentzer,
+    predictive,
     soetanto,
 )
 from skidsteer.errors import DataError, RequestError
@@ -74,7 +75,9 @@ def driven(law: str, path: Path, start: object = None, lag: float = 0.0, **optio
 
 
 @LAWS
-def test_without_lag_and_delay_it_is_the_exact_kinematics(law: str) -> None:
+def test_without_lag_and_delay_it_is_the_exact_kinematics(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(predictive, "ITERATIONS", 30)  # a search that is cut short ends elsewhere by rounding errors
+    monkeypatch.setattr(predictive, "TOLERANCE", 0.0)
     start = compose(EIGHT.robot(0.0), (0.1, 0.2, -0.3))
     expected = control_loop.follow(controllers(WHEELS)[law], WHEELS, EIGHT, start, 3.0)
     run = driven(law, EIGHT, start, ends=Ends(time=3.0))

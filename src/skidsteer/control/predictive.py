@@ -10,6 +10,10 @@ rims and within the wheels' limits, make small
 robot looks: curves have no offset. Beyond a knee the offset counts in proportion, so that far from the path the robot
 comes nearer at theta_a. Facing away from the path it stands and turns, as Huskić's does.
 
+The profile does not know the grip. Where a plan slips, in its first part, by more at speed than the equations tell of
+(``stage.STEEPEST``), the robot is asked to slow down, and to speed up again once it does not: where it drifts on the
+edge of its grip, noise is enough to throw it off the path.
+
 A plan is a simulated drive and no worse than the rest of the one before, so that a search that is not at its end does
 no harm. Where its cost is not finite the robot drives on with the rest of the plan before and brakes.
 """
@@ -49,6 +53,8 @@ BEND = 0.2  # [1/m] curvature at which rim speeds by yaw rate are told
 END = 0.5  # [s] of cost that the last row stands for
 STAGES = 60  # of a plan, at most
 WAY = 3.0  # least horizon, over reach and icr_x: a robot that turns moves its origin to the wrong side first
+NEAR = 0.5  # share of a plan that must keep its grip: its last stages are never driven
+LEAST_PACE, RECOVERY = 0.3, 0.5  # share of the profile at least; of the acceleration, to come back to it
 ITERATIONS, TOLERANCE = 4, 1e-4  # of the search; share of the cost that one must promise to save
 
 
@@ -80,6 +86,7 @@ class PredictiveState(PathState):
     next: Command  # to ask for now
     turning: bool  # on the spot
     iterations: int  # that the plan took; -1: it is the rest of the one before
+    pace: float = 1.0  # share of the profile that is driven
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,14 +185,25 @@ class Predictive:
             return self._turned(state, row, body, e)
         plan, path = state.plan.copy(), state.path
         rows = np.empty((len(plan) + 1, stage.ROW))
-        speeds = state.profile.speeds
+        speeds = state.pace * state.profile.speeds
         search = path.knots, path.closed, speeds, ITERATIONS, TOLERANCE, rows
         iterations = int(horizon.plan(row, plan, body, weights, *search))
         if iterations == horizon.UNKNOWN:
             return self._braked(state)
         first = rows[0] + self.period / state.stage * (rows[1] - rows[0])
         ask = float(first[stage.SPEED_ASKED]), float(first[stage.ASKED])
-        return replace(state, plan=plan, next=ask, turning=False, iterations=iterations)
+        pace = self._pace(state, rows)
+        return replace(state, plan=plan, next=ask, turning=False, iterations=iterations, pace=pace)
+
+    def _pace(self, state: PredictiveState, rows: FloatArray) -> float:
+        """Share of the profile to drive at, after a plan of these rows; what slips at any speed does not count."""
+        near = rows[: 1 + math.ceil(NEAR * len(state.plan))]
+        beyond = near[:, stage.SIDE] + state.estimate.now[slip.ICR_X] * near[:, stage.OMEGA]
+        slips = np.abs(beyond) / np.maximum(near[:, stage.SPEED], stage.SLOWEST)
+        change = self.limits.acceleration * self.period / float(state.profile.speeds.max())
+        if slips.max() > stage.STEEPEST:
+            return max(state.pace - change, LEAST_PACE)
+        return min(state.pace + RECOVERY * change, 1.0)
 
     def _turned(self, state: PredictiveState, row: FloatArray, body: FloatArray, e: float) -> PredictiveState:
         """On the spot, towards the path."""
