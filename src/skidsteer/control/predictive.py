@@ -93,8 +93,9 @@ class PredictiveState(PathState):
 class Predictive:
     """Path following by prediction. A twist's v_x is that of the rims by the model of ``wheels``, its omega a gyro's.
 
-    ``wheels`` had better hold a constant ICR, ``ScheduledIcr.constant`` of a scheduled one: rims that are linear in v
-    and omega, from which the observer tells the slip. What a calibration knows of that at speed is ``scheduled``.
+    ``wheels`` had better hold a constant ICR, ``ScheduledIcr.constant`` of a scheduled one: plan and observer take rims
+    as linear in v and omega, and chase what a scheduled one changes with speed and curvature as if the ground changed.
+    What a calibration knows of the slip at speed is ``scheduled``.
 
     Pose and twist are taken in by ``begin`` and ``advance``; ``command`` tells what they planned.
     """

@@ -25,6 +25,7 @@ from skidsteer.control import pentzer as pentzer_law
 from skidsteer.control import pure_pursuit as pursuit
 from skidsteer.control import soetanto as soetanto_law
 from skidsteer.errors import RequestError
+from skidsteer.models import ScheduledIcr
 
 TYPICAL = 0.5  # [1/m] curvature at which a law with one icr_x is told it
 
@@ -67,7 +68,10 @@ def _pure_pursuit(preset: pursuit.PurePursuit) -> Law:
 def _predictive(speed: float, known: Known) -> Predictive:
     usual = Limits(speed)
     limits = replace(usual, rim_acceleration=min(usual.rim_acceleration, known.acceleration))
-    return Predictive(PredictiveGains(), known.wheels, limits, Observer(known.lag, known.delay), known.period)
+    model, observer = known.wheels.model, Observer(known.lag, known.delay)
+    constant = model.constant if isinstance(model, ScheduledIcr) else model
+    wheels = Wheels(constant, known.wheels.max_speed)
+    return Predictive(PredictiveGains(), wheels, limits, observer, known.period, model)
 
 
 LAWS: Mapping[str, Mapping[str, Law]] = {  # by name and gains; the first gains are those it is launched with

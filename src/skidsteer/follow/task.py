@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skidsteer.control import Wheels
+from skidsteer.control import Predictive, Wheels
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.follow.belief import low_speed
@@ -102,7 +102,8 @@ def run_task(task: Task) -> Run:
     law = controller(task.law, task.gains, task.speed, known)
     start = task.path.robot(0.0) if task.start is None else np.array(task.start)
     rolling = begin(task.plant, task.vehicle, task.ground, start, task.lag)
-    return follow(rolling, law, task.wheels, task.path, task.sensing, task.ends, task.acceleration, task.seed)
+    wheels = law.wheels if isinstance(law, Predictive) else task.wheels  # its plans are of rims by a constant ICR
+    return follow(rolling, law, wheels, task.path, task.sensing, task.ends, task.acceleration, task.seed)
 
 
 def believed(name: str, vehicle: Vehicle, ground: Ground) -> Belief:
