@@ -64,8 +64,10 @@ def simulated(rims: Series, theta: FloatArray, rng: np.random.Generator, rate: f
     else:  # small deviations
         motion, J = linearize(ASPHALT.with_theta(theta[0]), cut)
         motion = motion + np.einsum("kij,kj->ki", J[..., :5], theta[:-1] - theta[0])
-    rolled = np.array([0.5 * np.abs(cut.distance[a:b]).sum() for a, b in pairwise(cut.offsets)])
-    spread = np.sqrt(rolled)[:, None] * [NOISE.walk, NOISE.walk, NOISE.turn]
+    rolled, apart = 0.5 * np.abs(cut.distance).sum(axis=1), 0.5 * np.abs(cut.distance[:, 1] - cut.distance[:, 0])
+    steps_ = np.stack([rolled, rolled, 0.9 * apart + 0.1 * rolled], axis=1)
+    paths = np.array([steps_[a:b].sum(axis=0) for a, b in pairwise(cut.offsets)])
+    spread = np.sqrt(paths) * [NOISE.walk, NOISE.walk, NOISE.turn]
     poses = chain(compose(motion, exp(spread * rng.standard_normal(motion.shape))))
     seen = poses + np.sqrt(np.diag(REFERENCE)) * rng.standard_normal(poses.shape)
     wheels = rims.between(0.0, t[-1])

@@ -112,8 +112,10 @@ def dense_information(setup: Setup, rims: Series) -> FloatArray:
     lagged = np.zeros((len(fine), 2))
     for i in range(1, len(fine)):
         lagged[i] = lagged[i - 1] + 1e-3 / setup.timing.lag * (rims.hold(fine[i - 1]) - lagged[i - 1])
-    walked = np.interp(t, fine, np.cumsum(np.abs(lagged).mean(axis=1)) * 1e-3)
-    Q = np.diag(np.outer(np.diff(walked), [noise.walk**2, noise.walk**2, noise.turn**2]).ravel())
+    rolled, apart = np.abs(lagged).mean(axis=1), 0.5 * np.abs(lagged[:, 1] - lagged[:, 0])
+    paths = np.cumsum(np.stack([rolled, rolled, 0.9 * apart + 0.1 * rolled], axis=1), axis=0) * 1e-3
+    grown = np.diff([np.interp(t, fine, path) for path in paths.T]).T
+    Q = np.diag((grown * [noise.walk**2, noise.walk**2, noise.turn**2]).ravel())
     R = np.diag(np.tile([noise.position**2, noise.position**2, noise.yaw**2], k + 1))
     J, P, M = slope(0), slope(1), slope(2)
     return np.asarray(J.T @ np.linalg.solve(P @ R @ P.T + M @ Q @ M.T, J))
@@ -210,7 +212,7 @@ def test_a_parameter_that_is_dear_is_not_given_up(designed: Design, monkeypatch:
     assert max(shares.values()) < 0.5
     monkeypatch.setattr("skidsteer.identify.excite.STRICTNESS", 0.0)
     careless = design_drive(setup_of(JACKAL, Icr), LIMITS, SQUARE)
-    assert min(careless.sigmas[name] / careless.unplanned[name] for name in shares) > 0.6
+    assert min(careless.sigmas[name] / careless.unplanned[name] for name in shares) > 1.2 * max(shares.values())
 
 
 def test_a_designed_drive_tells_twice_as_much_as_an_unplanned_one_and_as_much_as_it_says(designed: Design) -> None:

@@ -82,11 +82,16 @@ def test_without_a_gyro_there_is_none_to_fuse(calibrated: Calibration) -> None:
 
 
 def test_twist_covariance_by_hand() -> None:
-    """0.05^2 m * 0.5 m/s * 50 Hz = 0.0625, and (0.05 m * 0.4 rad/s)^2 = 0.0004 of the lever arm's y beside it."""
+    """0.05^2 m * 0.5 m/s * 50 Hz = 0.0625, and (0.05 m * 0.4 rad/s)^2 = 0.0004 of the lever arm's y beside it.
+
+    The yaw's grows along what the sides roll apart, half the width times the yaw rate, and a tenth of the rest.
+    """
     where = replace(export.force(made()).projection, rim_speed=0.5, yaw_rate=0.4)
     told = covariances(made(), where, 50.0, of_icr=False)
     assert_allclose(told.twist[:2], [0.0625 + 0.0004, 0.0625 + (0.08 * 0.4) ** 2], rtol=1e-6)
-    assert told.twist[5] == pytest.approx(0.04**2 * 0.5 * 50.0)
+    apart = 0.5 * 0.4 * where.multipliers.separation
+    assert 0.1 < apart < 0.4
+    assert told.twist[5] == pytest.approx(0.04**2 * (apart + 0.1 * (0.5 - apart)) * 50.0)
     assert told.twist[2:5] == (UNMEASURED,) * 3
     assert covariances(made(), where, 50.0, of_icr=True).twist[0] == pytest.approx(0.0625)
 

@@ -79,11 +79,11 @@ def test_a_step_carries_the_covariance_by_its_derivative(model: type[Model], gyr
     state, dt = warm(f), 0.3
     after = f.predict(state, WHEELS, dt)
     F, q = transition(f, state), len(f.free)
-    _, rolled = rolled_behind(state, dt)
+    _, rolled, apart = rolled_behind(state, dt)
     kept = math.exp(-rolled / f.options.reach)
     F[3 : 3 + q, 3 : 3 + q] *= kept
     Q = np.zeros_like(F)
-    Q[:3, :3] = rolled * np.diag([NOISE.walk**2, NOISE.walk**2, NOISE.turn**2])
+    Q[:3, :3] = np.diag([rolled * NOISE.walk**2, rolled * NOISE.walk**2, apart * NOISE.turn**2])
     variation = f.options.variation * (f.bounds[:, 1] - f.bounds[:, 0])
     Q[3 : 3 + q, 3 : 3 + q] = (1.0 - kept**2) * (f.theta_covariance + np.diag(variation**2))
     if gyro:
@@ -93,12 +93,13 @@ def test_a_step_carries_the_covariance_by_its_derivative(model: type[Model], gyr
     assert after.time == state.time + dt
 
 
-def rolled_behind(state: FilterState, dt: float, lag: float = 0.11) -> tuple[FloatArray, float]:
-    """Distances rolled behind the lag from the speeds that the state remembers; and their mean."""
+def rolled_behind(state: FilterState, dt: float, lag: float = 0.11) -> tuple[FloatArray, float, float]:
+    """Distances rolled behind the lag from the speeds that the state remembers; their mean; the path of the yaw."""
     behind = state.memory[:2]
     v = np.array(WHEELS)
     distance = v * dt + (behind - v) * lag * (1.0 - math.exp(-dt / lag))
-    return distance, float(0.5 * np.abs(distance).sum())
+    rolled, apart = float(0.5 * np.abs(distance).sum()), float(0.5 * np.abs(np.diff(distance))[0])
+    return distance, rolled, 0.9 * apart + 0.1 * rolled
 
 
 def test_a_drive_moves_as_the_model_predicts() -> None:
@@ -163,7 +164,7 @@ def test_a_yaw_rate_is_taken_with_the_noise_of_the_step_it_measures(reach: float
     B = F - np.eye(n)
     kept = math.exp(-rolled_behind(state, dt, LAG)[1] / f.options.reach)
     F[3 : 3 + q, 3 : 3 + q] *= kept
-    turn = NOISE.turn**2 * rolled_behind(state, dt, LAG)[1]
+    turn = NOISE.turn**2 * rolled_behind(state, dt, LAG)[2]
     turned = B[2] @ state.covariance @ B[2] + turn  # variance of the turn
     with_turn = F @ state.covariance @ B[2]
     with_turn[2] += turn

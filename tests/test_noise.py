@@ -65,7 +65,7 @@ def some_residuals(joined: bool = False, sees: Sees = "pose") -> Residuals:
     start = np.array([[0.4, 0.1, 0.5], [0.0, 0.0, 0.0]])
     end = np.array([[0.5, -0.2, 0.6], [-0.3, 0.1, -0.2]])
     gyro, gyro_time = np.array([0.02, 0.0]), np.array([0.9, np.inf])
-    return Residuals(windows, residual, np.array([0.5, 0.25]), start, end, gyro, gyro_time)
+    return Residuals(windows, residual, np.array([[0.5, 0.5, 0.3], [0.25, 0.25, 0.1]]), start, end, gyro, gyro_time)
 
 
 WEIGHTS = Weights(np.array([1.0, 0.5]), np.array([0.25, 1.0]), np.array([0.5, 1.0]))
@@ -74,8 +74,8 @@ WEIGHTS = Weights(np.array([1.0, 0.5]), np.array([0.25, 1.0]), np.array([0.5, 1.
 def test_covariances_by_hand() -> None:
     noise = Noise(position=0.01, yaw=0.02, stamp=0.1, walk=0.04, turn=0.08)
     process, start, end = some_residuals().covariances(noise, WEIGHTS)
-    # motion: variance a metre times 0.5 m, doubled by its weight of a half; 0.25 m
-    assert_allclose(process, [[16e-4, 16e-4, 64e-4], [4e-4, 4e-4, 16e-4]])
+    # motion: variance a metre times 0.5 m (yaw: 0.3 m), doubled by its weight of a half; 0.25 m (0.1 m)
+    assert_allclose(process, [[16e-4, 16e-4, 38.4e-4], [4e-4, 4e-4, 6.4e-4]])
     # stamps of 0.1 s at (0.4, 0.1, 0.5): outer product of (0.04, 0.01, 0.05)
     moved = np.array([[16e-4, 4e-4, 20e-4], [4e-4, 1e-4, 5e-4], [20e-4, 5e-4, 25e-4]])
     fixed = np.diag([1e-4, 1e-4, 4e-4])
@@ -107,7 +107,8 @@ def test_residuals_by_hand() -> None:
     part = residuals(model, windows, steps(wheels, windows, Timing()), np.array([[0.9, 2.2, -3.1], [0.4, 0.1, 0.2]]))
     assert_allclose(part.residual, [[0.1, -0.2, 6.2 - 2 * np.pi], [0.1, -0.1, -0.2]], atol=1e-15)
     # mean of the rims, whichever way they turn: 0.5 s at 0.3 and 0.5 s at 0.4; 0.5 s at 0.4 and 1 s at 0.5
-    assert_allclose(part.rolled, [0.35, 0.7], atol=1e-15)
+    # of the yaw: 0.5 s at 0.1 apart and a tenth of 0.2, 0.5 s at 0.4 apart; the same, and 1 s at a tenth of 0.5
+    assert_allclose(part.paths, [[0.35, 0.35, 0.26], [0.7, 0.7, 0.25]], atol=1e-15)
     assert_allclose(part.start_twist, [[0.3, -0.02, 0.2], [0.2, -0.08, 0.8]], atol=1e-15)
     assert_allclose(part.end_twist, [[0.2, -0.08, 0.8], [0.0, 0.0, 0.0]], atol=1e-15)
     assert_array_equal(part.windows.motion, motion)
@@ -254,7 +255,7 @@ def test_a_single_wrong_pose_is_an_outlier_of_the_pose(change: list[float]) -> N
     assert (weights.start == 1.0).all()
 
 
-@pytest.mark.parametrize("change", [[0.8, 0.0, 0.0], [0.0, -0.8, 0.0], [0.3, 0.3, 0.5]])
+@pytest.mark.parametrize("change", [[0.8, 0.0, 0.0], [0.0, -0.8, 0.0], [0.1, 0.1, 0.1]])
 def test_a_jump_of_the_reference_is_an_outlier_of_the_motion(change: list[float]) -> None:
     weights = reweigh([spoiled(np.array(change), 301, 10**6, globally=True)], TRUE_NOISE)[0]
     assert weights.motion[300] < 0.1  # window 300 leads from pose 300 to pose 301
@@ -314,5 +315,5 @@ def test_an_episode_of_slip_is_found_by_its_sum(step: list[float]) -> None:
 def test_errors_that_all_episodes_share_make_none_odd() -> None:
     """A model that is wrong everywhere is no reason to leave out what drives most."""
     part = slipping(np.array([0.0, 0.0, 0.02]), 0, 1229)
-    weights = reweigh([part], TRUE_NOISE)[0]
+    weights = reweigh([part], fit_noise([part], TRUE_NOISE, [ones(part)]))[0]
     assert (weights.motion < 1.0).mean() < 0.2

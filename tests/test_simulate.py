@@ -100,7 +100,7 @@ def test_stamps_scatter_as_the_sensors_say() -> None:
 
 
 def test_motion_noise_grows_with_the_root_of_the_distance() -> None:
-    """After rolling d at v = 1 m/s straight on, the yaw has strayed by turn * sqrt(d)."""
+    """After rolling d at v = 1 m/s straight on, the yaw has strayed by turn * sqrt(d / 10)."""
     rims = Series(np.arange(0.0, 10.0, 0.1), np.ones((100, 2)))
     ends = [
         poses_of(kinematic_drive("d", P3AT, Differential(0.4), rims, NO_NOISE, 0.0, (0.01, 0.02), seed))[[20, -1]]
@@ -108,7 +108,7 @@ def test_motion_noise_grows_with_the_root_of_the_distance() -> None:
     ]
     start, middle, end = 0.05, 4.05, 9.85
     spread = np.std(np.array(ends)[:, :, 2], axis=0)
-    assert_allclose(spread, 0.02 * np.sqrt([middle - start, end - start]), rtol=0.17)
+    assert_allclose(spread, 0.02 * np.sqrt([0.1 * (middle - start), 0.1 * (end - start)]), rtol=0.17)
     along = np.std(np.array(ends)[:, 0, 0])  # forwards, only the walk tells
     assert along == pytest.approx(0.01 * np.sqrt(4.0), rel=0.25)
 

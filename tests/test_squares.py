@@ -144,8 +144,9 @@ def test_steps_without_slopes() -> None:
 
 
 def test_paths_count_forwards_and_backwards() -> None:
-    distance = np.array([[1.0, -1.0], [-0.5, 0.3], [0.2, 0.0]])
-    assert_allclose(paths(distance, np.array([0, 2, 3])), [1.4, 0.1])
+    """What is rolled apart counts whole for the yaw, a straight metre a tenth: 0.05 + 0.1 (0.15 - 0.05)."""
+    distance = np.array([[1.0, -1.0], [-0.5, 0.3], [0.2, 0.1]])
+    assert_allclose(paths(distance, np.array([0, 2, 3])), [[1.4, 1.4], [0.15, 0.06]])
 
 
 # Squared cost

@@ -39,12 +39,13 @@ TWIST = np.array([0.5, 0.0, 0.3])
 
 
 def drive_at(t: ArrayLike, segments: ArrayLike | None = None, twist: FloatArray = TWIST) -> Drive:
-    """Reference poses at stamps t (n,) on an arc; wheels at 20 Hz over the same time."""
+    """Reference poses at stamps t (n,) on an arc; wheels at 20 Hz over the same time, which turn as fast."""
     t = np.asarray(t, dtype=float)
     wheels = np.arange(np.floor(t[0]) - 1, np.ceil(t[-1]) + 1.01, 0.05)
     pose = Series(t, exp((t - t[0])[:, None] * twist), "pose")
     segments = None if segments is None else np.asarray(segments, dtype=float)
-    return Drive("d", P3AT, Series(wheels, np.ones((len(wheels), 2)), "wheels"), pose=pose, segments=segments)
+    rims = np.tile(1.0 + 0.5 * P3AT.track_width * twist[2] * np.array([-1.0, 1.0]), (len(wheels), 1))
+    return Drive("d", P3AT, Series(wheels, rims, "wheels"), pose=pose, segments=segments)
 
 
 def spans(windows: Windows) -> FloatArray:
@@ -77,9 +78,10 @@ def test_leaps_are_cut_out_of_segments_and_beside_gaps() -> None:
     assert drive.pose is not None
     values = drive.pose.values.copy()
     values[100:, 0] += 5.0
-    values[101:, 0] -= 9.0  # and again
+    values[102:, 0] -= 9.0  # and again
+    values[120, 0] += 3.0  # a sample that is wrong by itself is for the estimator
     moved = replace(drive, pose=Series(drive.pose.t, values, "pose"))
-    assert_allclose(pieces(moved), [[2.0, 4.0], [5.0, 9.9], [10.0, 10.0], [10.1, 15.0]])
+    assert_allclose(pieces(moved), [[2.0, 4.0], [5.0, 9.9], [10.0, 10.1], [10.2, 15.0]])
     assert_allclose(pieces(drive), drive.segments)
     values[::3, 0] += 100.0  # everywhere: a unit is wrong
     assert not len(leaps(replace(drive, pose=Series(drive.pose.t, values, "pose"))))

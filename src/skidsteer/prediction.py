@@ -12,24 +12,24 @@ from scipy.stats import f as fisher
 
 from skidsteer.drive import Series
 from skidsteer.models import Model
-from skidsteer.noise import Noise, residuals
+from skidsteer.noise import Noise, paths_of, residuals
 from skidsteer.se2 import FloatArray, chain, exp, invert, log
 from skidsteer.windows import Timing, Windows, linearize, steps
 
 SUBSTEPS = 10  # of a window, in which the motion noise enters
 
 
-def motion_covariance(motion: FloatArray, rolled: FloatArray, noise: Noise) -> FloatArray:
+def motion_covariance(motion: FloatArray, paths: FloatArray, noise: Noise) -> FloatArray:
     """Covariance (k, 3, 3) that the motion noise adds up to over motions, in the body frame at their end.
 
     Args:
         motion: (k, 3) predicted motions.
-        rolled: (k,) [m] mean distance rolled by the rims.
+        paths: (k, 3) [m] that the errors of x, y and yaw grow along, see ``noise.paths_of``.
         noise: its ``walk`` and ``turn``.
     """
     part = exp(log(motion) / SUBSTEPS)
     F = _transition(part)
-    Q = (rolled / SUBSTEPS)[:, None, None] * np.diag([noise.walk**2, noise.walk**2, noise.turn**2])
+    Q = (paths / SUBSTEPS)[:, :, None] * np.diag([noise.walk**2, noise.walk**2, noise.turn**2])
     P = np.zeros((len(motion), 3, 3))
     for _ in range(SUBSTEPS):
         P = F @ P @ np.swapaxes(F, 1, 2) + Q
@@ -97,8 +97,7 @@ def forecast(
     windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
     cut = steps(wheels, windows, Timing(0.0, lag))
     motion, jacobian = linearize(model, cut)
-    rolled = residuals(model, windows, cut, motion).rolled
-    F, Q = _transition(motion), motion_covariance(motion, rolled, uncertainty.noise)
+    F, Q = _transition(motion), motion_covariance(motion, paths_of(cut), uncertainty.noise)
     by_parameters = _rotation(-motion[:, 2]) @ np.delete(jacobian, -2, axis=2)
     lasting = np.concatenate([by_parameters, turning * turn_effect(motion)[:, :, None]], axis=2)
     known = np.delete(np.delete(uncertainty.covariance, -2, axis=0), -2, axis=1)
@@ -142,7 +141,7 @@ def distances(model: Model, wheels: Series, windows: Windows, timing: Timing, un
     before, after = part.pose_covariances(uncertainty.noise)
     F, turn = _transition(motion), _rotation(-motion[:, 2])
     jacobian = turn @ jacobian
-    total = motion_covariance(motion, part.rolled, uncertainty.noise) + after + F @ before @ np.swapaxes(F, 1, 2)
+    total = motion_covariance(motion, part.paths, uncertainty.noise) + after + F @ before @ np.swapaxes(F, 1, 2)
     total += jacobian @ uncertainty.covariance @ np.swapaxes(jacobian, 1, 2)
     both = np.stack([(turn @ part.residual[..., None])[..., 0], turn_effect(motion)], axis=2)
     products = np.swapaxes(both, 1, 2) @ np.linalg.solve(total, both)

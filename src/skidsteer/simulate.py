@@ -13,7 +13,7 @@ import numpy as np
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.models import Differential, Model
-from skidsteer.noise import Noise
+from skidsteer.noise import Noise, paths_between
 from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Mount, Timing, Windows, predict
@@ -114,9 +114,7 @@ def kinematic_drive(
     rng = np.random.default_rng(seed)
     t = _reference_times(rims, sensors)
     motion = _motions(model, rims, t[:-1], t[1:], lag)
-    rolled = np.abs(rims.values).mean(axis=1)
-    distance = np.diff(np.interp(t, rims.t, np.r_[0.0, np.cumsum(rolled[:-1] * np.diff(rims.t))]))
-    spread = np.sqrt(distance)[:, None] * [motion_noise[0], motion_noise[0], motion_noise[1]]
+    spread = np.sqrt(paths_between(rims, t)) * [motion_noise[0], motion_noise[0], motion_noise[1]]
     truth = chain(compose(motion, exp(spread * rng.standard_normal(motion.shape))))
     strayed = truth[:, 2] - np.concatenate([[0.0], np.cumsum(motion[:, 2])])
 

@@ -117,7 +117,8 @@ def leaps(drive: Drive) -> FloatArray:
 
     A localization that starts anew, another fix: a step of ``LEAP`` and ``FASTER`` times more than the wheels at their
     fastest about then make in that time, or since the reference last moved, for one that froze catches up; in yaw, more
-    than they turn without slip. None is told where they are not rare: a unit is wrong instead.
+    than they turn without slip. Two in a row are one wrong sample, which an estimator weighs down. None is told where
+    they are not rare: a unit is wrong instead.
     """
     reference, wheels = drive.reference, drive.wheels
     if reference is None or len(reference) < 2:
@@ -131,7 +132,8 @@ def leaps(drive: Drive) -> FloatArray:
     leap = way[large] > LEAP + FASTER * rolled * speed
     leap |= turn[large] > LEAP_TURN + rolled * spin / drive.vehicle.track_width
     at = large[leap]
-    return np.stack([t[at], t[at + 1]], axis=1) if len(at) <= RARE * len(step) else np.zeros((0, 2))
+    alone = ~(np.isin(at - 1, at) | np.isin(at + 1, at)) & (len(at) <= RARE * len(step))
+    return np.stack([t[at], t[at + 1]], axis=1)[alone]
 
 
 def _fastest(wheels: Series, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:

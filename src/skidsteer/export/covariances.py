@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from skidsteer.calibration import Calibration
 from skidsteer.multipliers import Projection
+from skidsteer.noise import yaw_path
 from skidsteer.prediction import motion_covariance
 from skidsteer.se2 import FloatArray
 
@@ -35,9 +36,10 @@ def gyro_alone(calibration: Calibration) -> bool:
 def covariances(calibration: Calibration, projection: Projection, rate: float, of_icr: bool) -> Covariances:
     """Constant covariances for messages that know no others.
 
-    The error of the motion is a random walk: its variance grows by walk^2 for each metre that the rims roll. A filter
-    that integrates velocities whose errors are independent from message to message, with variance R at ``rate`` a
-    second, adds up R / rate a second: so R is walk^2 times the rim speed times ``rate``. What the multipliers leave out
+    The error of the motion is a random walk: its variance grows by walk^2 for each metre that the rims roll, that of
+    the yaw by turn^2 for each that they roll apart and a tenth of each straight one. A filter that integrates
+    velocities whose errors are independent from message to message, with variance R at ``rate`` a second, adds up
+    R / rate a second: so R is walk^2 times the rim speed times ``rate``. What the multipliers leave out
     at the usual yaw rate is added, though it is no noise. So is what turns are off by all through them: as a random
     walk that adds up to the same at the end of a window that it was found in. Where there was a gyro alone, all that
     the two turned differently is taken for an error of the wheels: a filter that fuses both must not trust them more
@@ -55,10 +57,17 @@ def covariances(calibration: Calibration, projection: Projection, rate: float, o
     lost = np.zeros(3) if of_icr else np.array([projection.y, projection.x, 0.0]) * projection.yaw_rate
     unknown = np.array([0.0, 0.0, noise.gyro**2 if gyro_alone(calibration) else 0.0])  # [rad^2] a second
     lasting = np.array([0.0, 0.0, _lasting(calibration, projection.yaw_rate)])
-    twist = (growth * projection.rim_speed + unknown + lasting) * rate + lost**2
-    ahead = motion_covariance(np.array([[DISTANCE, 0.0, 0.0]]), np.array([DISTANCE]), noise)[0]
+    twist = (growth * _paths(projection) + unknown + lasting) * rate + lost**2
+    paths = DISTANCE * np.array([[1.0, 1.0, yaw_path(1.0, 1.0)]])
+    ahead = motion_covariance(np.array([[DISTANCE, 0.0, 0.0]]), paths, noise)[0]
     x, y, yaw = raised * np.diag(ahead) + unknown * DISTANCE / projection.rim_speed
     return Covariances(_six(np.array([max(x, y), max(x, y), yaw])), _six(twist), raised)
+
+
+def _paths(projection: Projection) -> FloatArray:
+    """Paths (3,) [m] a second, at usual speeds, that the errors of x, y and yaw grow along, see ``skidsteer.noise``."""
+    speed, apart = projection.rim_speed, 0.5 * projection.multipliers.separation * projection.yaw_rate
+    return np.array([speed, speed, yaw_path(speed - min(apart, speed), speed + min(apart, speed))])
 
 
 def _lasting(calibration: Calibration, yaw_rate: float) -> float:

@@ -184,11 +184,11 @@ def _noise(calibration: Calibration, found: Projection, settings: Settings) -> s
             f" Turns that are off by {100.0 * calibration.regions.turning:.2g} % all through are in that of the yaw."
         )
     return comment(
-        f"Covariances: the motion's error grows by {noise.walk:.3g} m and {noise.turn:.3g} rad in a metre rolled, with"
-        f" the root of the distance{raised}. That of the twist is for each of {settings.rate:g} messages a second at"
-        f" {found.rim_speed:.2g} m/s of the rims, with errors independent from message to message: it goes with rate"
-        f" and speed.{lost} That of the pose is after {DISTANCE:g}"
-        " m straight on; the true one grows without end: fuse velocities, not the pose."
+        f"Covariances: the motion's error grows by {noise.walk:.3g} m in a metre rolled and {noise.turn:.3g} rad in a"
+        f" metre that each side rolls apart, with the root of the distance{raised}. That of the twist is for each of"
+        f" {settings.rate:g} messages a second at {found.rim_speed:.2g} m/s of the rims, with errors independent from"
+        f" message to message: it goes with rate and speed.{lost} That of the pose is after {DISTANCE:g} m straight on;"
+        " the true one grows without end: fuse velocities, not the pose."
     )
 
 

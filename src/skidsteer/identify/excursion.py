@@ -9,7 +9,7 @@ import numpy as np
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Series
 from skidsteer.models import Model, ScheduledIcr
-from skidsteer.noise import Noise
+from skidsteer.noise import Noise, paths_between
 from skidsteer.se2 import chain, compose, exp
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Timing, Windows, predict
@@ -100,8 +100,7 @@ def trajectory(
     windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
     motion = predict(model, rims, windows, Timing(0.0, lag))
     if noise is not None:
-        rolled = np.interp(t, rims.t, np.cumsum(np.r_[0.0, np.abs(rims.values[:-1]).mean(axis=1) * np.diff(rims.t)]))
-        spread = np.sqrt(np.diff(rolled))[:, None] * [noise.walk, noise.walk, noise.turn]
+        spread = np.sqrt(paths_between(rims, t)) * [noise.walk, noise.walk, noise.turn]
         motion = compose(motion, exp(spread * np.random.default_rng(seed).standard_normal(motion.shape)))
     return Series(t, chain(motion), "path")
 

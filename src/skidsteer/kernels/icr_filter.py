@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from skidsteer.kernels.roll import yaw_path
 from skidsteer.kernels.rollout import half_rotation
 from skidsteer.kernels.twists import twist_of
 from skidsteer.se2 import FloatArray
@@ -118,8 +119,8 @@ def predict(
         memory[LEFT] = memory[RIGHT] = math.nan
         B[:], moved[:] = 0.0, 0.0
     else:
-        rolled = _roll(x, memory, setup, room, left, right, dt)
-        walk, turn = settings[WALK] * rolled, settings[TURN] * rolled
+        rolled, apart = _roll(x, memory, setup, room, left, right, dt)
+        walk, turn = settings[WALK] * rolled, settings[TURN] * apart
     _propagate(P, memory, room, walk, turn, _kept(memory, settings, rolled), setup.ground, cross)
     for i in range(3):
         x[i] += moved[i]
@@ -149,8 +150,12 @@ def _roll(
     left: float,
     right: float,
     dt: float,
-) -> float:
-    """Write change of the pose and its derivative by the free parameters into the room; returns the distance [m]."""
+) -> tuple[float, float]:
+    """Write change of the pose and its derivative by the free parameters into the room.
+
+    Returns:
+        Paths [m] that the errors of the position and of the yaw grow along.
+    """
     lag, free = setup.settings[LAG], setup.free
     if lag == 0.0 or math.isnan(memory[LEFT]):
         memory[LEFT], memory[RIGHT] = left, right
@@ -172,7 +177,7 @@ def _roll(
         B[1, m] = sinc * (sm * dx + cm * dy + half * ux) + slope * half * uy
         B[2, m] = 2.0 * half
     rolled = 0.5 * (abs(roll_left) + abs(roll_right))
-    return rolled if rolled > AT_REST else 0.0
+    return (rolled, yaw_path(roll_left, roll_right)) if rolled > AT_REST else (0.0, 0.0)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

@@ -196,11 +196,23 @@ def roll_lagged(
         end_speeds[w, 1] = v[at + 1, 1] if anew else v[at, 1] + cr * decay
 
 
+STRAIGHT = 0.1  # share of a straight metre in the error of the yaw
+
+
+@njit(cache=True, inline="always")
+def yaw_path(left: float, right: float) -> float:
+    """Path [m] that the error of the yaw grows along: how far the sides roll apart, and a share of what is straight."""
+    rolled, apart = 0.5 * (abs(left) + abs(right)), 0.5 * abs(right - left)
+    return apart + STRAIGHT * (rolled - apart)
+
+
 @njit(cache=True)
 def paths(distance: FloatArray, offsets: np.ndarray) -> FloatArray:
-    """Length of path (k,) [m] of each window, the mean of what both sides roll (s, 2) [m], forwards or backwards."""
-    out = np.zeros(len(offsets) - 1)
+    """Paths (k, 2) [m] of each window: the mean of what both sides roll (s, 2) [m] either way, and that of the yaw."""
+    out = np.zeros((len(offsets) - 1, 2))
     for w in range(len(out)):
         for i in range(offsets[w], offsets[w + 1]):
-            out[w] += 0.5 * (abs(distance[i, 0]) + abs(distance[i, 1]))
+            left, right = distance[i, 0], distance[i, 1]
+            out[w, 0] += 0.5 * (abs(left) + abs(right))
+            out[w, 1] += yaw_path(left, right)
     return out

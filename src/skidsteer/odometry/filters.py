@@ -26,6 +26,7 @@ def frozen(calibration: Calibration, gyro: bool) -> Filter:
 def thalmann(name: str, calibration: Calibration, gyro: bool) -> Filter:
     """A filter of Thalmann 2016, which knows the nominal track width alone and follows the encoders closely.
 
+    Its wander of the yaw does not tell a straight metre from one in a turn: all are taken for the latter.
     It has no state for the bias of a gyro, which would count as turning: a gyro is left out.
 
     Its test of the encoders is off: wheels that are measured less often than logged would fail at every step.
