@@ -55,7 +55,7 @@ NOTES = (
     " was measured. Mandow's own 0.275 m is of the form with alpha",
     "Eq. (13) adds square metres to square radians; neighbouring segments share a noisy position, so that their errors"
     " are not independent",
-    "an antenna at (l_x, l_y) on the robot sees icr_x + l_x and the middle of the tread ICRs + l_y: 'y_ICRv is always"
+    "an antenna at (l_x, l_y) on the robot sees icr_x - l_x and the middle of the tread ICRs - l_y: 'y_ICRv is always"
     " about 1 cm behind' holds for the antenna's own place",
 )
 
