@@ -263,9 +263,11 @@ def test_every_real_drive_is_calibrated_and_explained(name: str, real: object, r
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--wheel-signal", "torque"], "wheel_signal must be position or velocity, got torque"),
-        (["--wheels-unit", "furlong"], "wheels_unit must be one of rad, rad/s, m/s, ticks, got furlong"),
-        (["--separation", "0"], "separation must be a positive number, got 0.0"),
+        (["--wheel-signal", "torque"], "skidsteer: --wheel-signal must be position or velocity, got torque"),
+        (["--separation", "wide"], "skidsteer: --separation must be a positive number, got wide"),
+        (["--separation-multiplier", "-1"], "skidsteer: --separation-multiplier must be a positive number, got -1.0"),
+        (["--wheels-unit", "furlong"], "skidsteer: --wheels-unit must be one of rad, rad/s, m/s, ticks, got furlong"),
+        (["--separation", "0"], "skidsteer: --separation must be a positive number, got 0.0"),
     ],
 )
 def test_options_of_bags_that_cannot_be(run: Run, words: list[str], said: str) -> None:

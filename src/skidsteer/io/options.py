@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast
@@ -66,10 +67,20 @@ def parse_options(words: Mapping[str, str | None]) -> BagOptions:
     try:
         for name in ("separation", "separation_multiplier"):
             if name in given:
-                given[name] = float(given[name])
+                given[name] = _number(name, given[name])
         return BagOptions(**given)
     except ValueError as error:
-        raise RequestError(f"bag options: {error}") from error
+        typed = re.sub(
+            "|".join(sorted(words, key=len, reverse=True)), lambda m: "--" + m[0].replace("_", "-"), str(error)
+        )
+        raise RequestError(typed) from error
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{name} must be a positive number, got {text}") from None
 
 
 def parse_plate(text: str) -> Plate:
