@@ -141,9 +141,9 @@ def test_what_cannot_be_compared(some: Fit) -> None:
 
 # The verdict
 
-WORSE = Comparison(Excess(0.1, 0.05, 0.15, 1e-4), Excess(0.4, 0.2, 0.6, 1e-6))
-UNSURE = Comparison(Excess(0.3, -0.5, 3.0, 0.3), Excess(0.4, -0.6, 4.0, 0.3))
-EQUAL = Comparison(Excess(0.01, -0.05, 0.07, 0.4), Excess(-0.02, -0.1, 0.06, 0.7))
+WORSE = Comparison(Excess(0.1, 0.05, 0.15, 1e-4, 0.1), Excess(0.4, 0.2, 0.6, 1e-6, 0.4))
+UNSURE = Comparison(Excess(0.3, -0.5, 3.0, 0.3, 0.3), Excess(0.4, -0.6, 4.0, 0.3, 0.4))
+EQUAL = Comparison(Excess(0.01, -0.05, 0.07, 0.4, 0.0), Excess(-0.02, -0.1, 0.06, 0.7, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ class Excess:
     low: float  # 95 % interval
     high: float
     p_worse: float  # one-sided
+    rms: float  # ratio of the root mean squares, less one
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +38,9 @@ class Comparison:
 
     @property
     def worse(self) -> bool:
-        """Worse in translation or in yaw, significantly or by more than ``MARGIN``."""
-        return self.surely_worse or self.largest > MARGIN
+        """Worse in translation or in yaw: significantly, or by more than ``MARGIN`` and in the mean square as well."""
+        told = (e for e in (self.translation, self.yaw) if e is not None)
+        return self.surely_worse or any(e.share > MARGIN and e.rms > 0.0 for e in told)
 
     @property
     def surely_worse(self) -> bool:
@@ -74,7 +76,8 @@ def excess(error: FloatArray, other: FloatArray, block: np.ndarray) -> Excess | 
     told = np.isfinite(error) & np.isfinite(other)
     if not told.any():
         return None
-    ratio, block = _log_size(error[told]) - _log_size(other[told]), block[told]
+    error, other, block = error[told], other[told], block[told]
+    ratio, rms = _log_size(error) - _log_size(other), _ratio_less_one(error, other)
     number = np.unique(block, return_inverse=True)[1]
     count = np.bincount(number).astype(float)
     mean_of_block, share, blocks = np.bincount(number, ratio) / count, count / count.sum(), len(count)
@@ -82,10 +85,16 @@ def excess(error: FloatArray, other: FloatArray, block: np.ndarray) -> Excess | 
     sigma = float(np.sqrt(share**2 @ (mean_of_block - mean) ** 2 * blocks / max(blocks - 1, 1)))
     if sigma == 0.0 or blocks < 2:
         only = float(np.expm1(mean))
-        return Excess(only, only, only, 1.0 if mean <= 0.0 else 0.5)
+        return Excess(only, only, only, 1.0 if mean <= 0.0 else 0.5, rms)
     half = float(student.ppf(0.975, blocks - 1)) * sigma
     low, high = float(np.expm1(mean - half)), float(np.expm1(mean + half))
-    return Excess(float(np.expm1(mean)), low, high, float(student.sf(mean / sigma, blocks - 1)))
+    return Excess(float(np.expm1(mean)), low, high, float(student.sf(mean / sigma, blocks - 1)), rms)
+
+
+def _ratio_less_one(error: FloatArray, other: FloatArray) -> float:
+    """Of the root mean squares."""
+    square = float(other @ other)
+    return float(np.sqrt(error @ error / square)) - 1.0 if square > 0.0 else 0.0
 
 
 def compare_errors(errors: WindowErrors, other: WindowErrors, block: np.ndarray) -> Comparison:
