@@ -106,7 +106,7 @@ def test_a_linear_model_reaches_the_limit_exactly() -> None:
 def test_where_the_icr_lies() -> None:
     assert_allclose(icr_x_at(PLANT, 1.0), 0.28)
     assert_allclose(icr_x_at(PLANT, -1.0, 0.5), 0.28)
-    gain = 1.0 + 0.1 / 2.0  # of SCHEDULED at v = 1, almost straight
+    gain = 1.0 + 0.1  # of SCHEDULED, almost straight
     assert_allclose(icr_x_at(SCHEDULED, 1.0), 0.28 + 0.05 / 1.3 / gain, rtol=1e-3)
 
 
