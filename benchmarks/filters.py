@@ -94,7 +94,7 @@ def _filterpy(ours: IcrFilter, start: FilterState, covariance: FloatArray, event
         moved, ekf.F = _moved(ekf.x, distance)
         ekf.F[3:, 3:] *= kept
         Q[0, 0] = Q[1, 1] = NOISE.walk**2 * rolled
-        Q[2, 2] = NOISE.turn**2 * rolled
+        Q[2, 2] = NOISE.turn**2 * (0.9 * 0.5 * abs(distance[1] - distance[0]) + 0.1 * rolled)
         Q[3:, 3:] = (1.0 - kept**2) * ground
         ekf.P = ekf.F @ ekf.P @ ekf.F.T + Q
         ekf.x = ekf.x + moved
