@@ -21,6 +21,7 @@ from skidsteer.identify.least_squares import Fit, FitOptions, fit_supported
 from skidsteer.identify.manoeuvres import PERIOD, Limits
 from skidsteer.identify.spacing import choose_spacing
 from skidsteer.io.drives import load_drive
+from skidsteer.kernels import roll
 from skidsteer.models import MODELS, Icr, Model, ScheduledIcr
 from skidsteer.plants import plant, usual_sensors
 from skidsteer.se2 import FloatArray, between
@@ -128,8 +129,10 @@ def steady_information(design: Design) -> FloatArray:
     rolled = 0.5 * (np.abs(left) + np.abs(right))
     kept = (np.abs(v) <= limits.speed + 1e-9) & (np.abs(omega) <= limits.omega) & (rolled > 0.0)
     kept &= np.abs(v * omega) <= limits.lateral_acceleration
-    slopes = model.parameter_jacobian(left[kept], right[kept]) / np.array([noise.walk, noise.walk, noise.turn])[:, None]
-    return np.asarray(np.einsum("nki,nkj->nij", slopes, slopes) / rolled[kept, None, None])
+    grown = np.sqrt(roll.paths(np.column_stack([left, right]), np.arange(len(left) + 1))[:, [0, 0, 1]])
+    sigma = grown * [noise.walk, noise.walk, noise.turn]  # of the motion after a second
+    slopes = model.parameter_jacobian(left[kept], right[kept]) / sigma[kept, :, None]
+    return np.asarray(np.einsum("nki,nkj->nij", slopes, slopes))
 
 
 def least_worst_share(design: Design, left: FloatArray) -> float:

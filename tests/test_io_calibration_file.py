@@ -55,6 +55,18 @@ def test_values_that_cannot_be_are_refused_by_name(content: Any, key: Key, value
         load_calibration(file)
 
 
+def test_parameters_of_an_older_model_are_named(content: Any, tmp_path: Path) -> None:
+    copy = yaml.safe_load(yaml.safe_dump(content))
+    parameters = copy["model"]["parameters"]
+    parameters["yaw_gain"] = parameters.pop("icr_x")
+    file = tmp_path / "calibration.yaml"
+    file.write_text(yaml.safe_dump(copy), encoding="utf-8")
+    with pytest.raises(
+        DataError, match=r"calibration.yaml: model: .* takes .*icr_x.*; got .*yaw_gain; calibrate again$"
+    ):
+        load_calibration(file)
+
+
 def test_regions_of_an_older_file_know_of_no_turns(content: Any, tmp_path: Path) -> None:
     file = tmp_path / "calibration.yaml"
     copy = yaml.safe_load(yaml.safe_dump(content))

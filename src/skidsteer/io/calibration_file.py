@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -275,6 +275,10 @@ def _calibration(file: _Body) -> Calibration:
     if file.model.name not in MODELS:
         raise ValueError(f"model.name: no model '{file.model.name}'; there are: {', '.join(MODELS)}")
     values = {name: e.value for name, e in file.model.parameters.items()}
+    wanted = [f.name for f in fields(MODELS[file.model.name])]
+    if sorted(values | file.model.fixed) != sorted(wanted):
+        given = ", ".join([*values, *file.model.fixed])
+        raise ValueError(f"model: {file.model.name} takes {', '.join(wanted)}; got {given}; calibrate again")
     estimates = {
         name: Estimate(e.value, e.sigma, e.unit, e.determined)
         for name, e in (file.model.parameters | file.nuisance).items()
