@@ -26,10 +26,11 @@ lint: .venv/ready   ## ruff and mypy
 bench: .venv/ready  ## measure speed and memory, writes docs/benchmarks.md
 	$(BIN)/python benchmarks/run.py
 
-studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md, docs/coverage.md, docs/design.md, docs/terrains.md, docs/ground.md, docs/plans.md, docs/odometry.md, docs/online-filter.md, docs/path-following.md
+studies: .venv/ready  ## slow studies on the real drives, writes docs/models.md, docs/coverage.md, docs/yaw-noise.md, docs/design.md, docs/terrains.md, docs/ground.md, docs/plans.md, docs/odometry.md, docs/online-filter.md, docs/path-following.md
 	$(BIN)/python -m pip install --quiet --editable '.[studies]'
 	$(BIN)/python benchmarks/models.py
 	$(BIN)/python benchmarks/coverage.py
+	$(BIN)/python benchmarks/yaw_noise.py
 	$(BIN)/python benchmarks/design.py
 	$(BIN)/python benchmarks/terrain.py
 	$(BIN)/python benchmarks/ground.py
