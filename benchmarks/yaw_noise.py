@@ -12,6 +12,7 @@ from skidsteer.drive import Drive
 from skidsteer.identify.calibrate import CalibrateOptions, settled
 from skidsteer.identify.least_squares import fit_supported
 from skidsteer.io.drives import load_drive
+from skidsteer.kernels import roll
 from skidsteer.models import ScheduledIcr
 from skidsteer.noise import Noise, Residuals, Weights, deviance, fit_noise, residuals, reweigh
 from skidsteer.windows import increment_windows, linearize, steps
@@ -22,7 +23,7 @@ DRIVES = (
     *("warthog-asphalt", "warthog-grass-a", "warthog-grass-b", "husky-mocap"),
 )
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-TAKEN = 0.1
+TAKEN = roll.STRAIGHT
 ROUNDS = 3  # of noise and weights in turn
 TEXT = """# Along what the error of the yaw grows
 

@@ -316,4 +316,4 @@ def test_errors_that_all_episodes_share_make_none_odd() -> None:
     """A model that is wrong everywhere is no reason to leave out what drives most."""
     part = slipping(np.array([0.0, 0.0, 0.02]), 0, 1229)
     weights = reweigh([part], fit_noise([part], TRUE_NOISE, [ones(part)]))[0]
-    assert (weights.motion < 1.0).mean() < 0.2
+    assert (weights.motion < 1.0).mean() < 0.03  # 0.08 if each were held against the noise alone

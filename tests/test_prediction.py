@@ -130,23 +130,23 @@ def test_regions_hold_the_share_they_claim(name: str, share: float) -> None:
 
 def test_regions_of_turns_that_are_off_hold_in_turns_and_straight_on() -> None:
     """One factor for all would claim too much straight on and too little in turns."""
-    regions = fit_regions(found(0, 3000, 0.1))
+    regions = fit_regions(found(0, 3000, 0.08))
     assert regions is not None
-    judged = found(1, 3000, 0.1)
+    judged = found(1, 3000, 0.08)
     wheels = rims(1, 3000)
     turns = np.abs(np.diff(wheels.values[:-1])[:, 0]) > 0.3
     for some in (turns, ~turns):
         part = Distances(judged.squared[some], judged.score[some], judged.information[some])
         assert regions.coverage(part, 0.68) == pytest.approx(0.68, abs=0.05)
     plain = Distances(judged.squared, 0.0 * judged.score, judged.information)
-    single = fit_regions(replace(found(0, 3000, 0.1), score=np.zeros(3000)))
+    single = fit_regions(replace(found(0, 3000, 0.08), score=np.zeros(3000)))
     assert single is not None
     shares = [
         single.coverage(Distances(plain.squared[some], plain.score[some], plain.information[some]), 0.68)
         for some in (turns, ~turns)
     ]
     assert shares[0] < 0.6
-    assert shares[1] > 0.73
+    assert shares[1] > 0.68 + 0.05  # more than the 68 % above may differ by
 
 
 @pytest.mark.parametrize(("turning", "dof"), [(0.03, None), (0.08, None), (0.08, 4.0)])

@@ -23,9 +23,9 @@ class Noise:
 
     ``stamp`` is the scatter of the reference's time stamps: at speed it moves a pose along its own path.
     The distance rolled is the mean of what the two rims rolled, so that a turn on the spot counts. The yaw slips with
-    how far the rims roll apart, half the difference: of a straight path ``turn`` counts a tenth alone. (On
-    eight real drives, docs/yaw-noise.md, that is far likelier than all of it; less is often likelier still, but a tenth
-    leaves room for what makes a straight path bend.)
+    how far the rims roll apart, half the difference: of a straight path ``turn`` counts a tenth alone. (On eight real
+    drives, docs/yaw-noise.md, that is far likelier than all of it; less is often likelier still, but a tenth leaves
+    room for what makes a straight path bend.)
     """
 
     position: float = 0.02  # [m] of a reference position, each axis

@@ -39,11 +39,10 @@ def covariances(calibration: Calibration, projection: Projection, rate: float, o
     The error of the motion is a random walk: its variance grows by walk^2 for each metre that the rims roll, that of
     the yaw by turn^2 for each that they roll apart and a tenth of each straight one. A filter that integrates
     velocities whose errors are independent from message to message, with variance R at ``rate`` a second, adds up
-    R / rate a second: so R is walk^2 times the rim speed times ``rate``. What the multipliers leave out
-    at the usual yaw rate is added, though it is no noise. So is what turns are off by all through them: as a random
-    walk that adds up to the same at the end of a window that it was found in. Where there was a gyro alone, all that
-    the two turned differently is taken for an error of the wheels: a filter that fuses both must not trust them more
-    than the gyro.
+    R / rate a second: so R is walk^2 times the rim speed times ``rate``. What the multipliers leave out at the usual
+    yaw rate is added, though it is no noise. So is what turns are off by all through them: as a random walk that adds
+    up to the same at the end of a window that it was found in. Where there was a gyro alone, all that the two turned
+    differently is taken for an error of the wheels: a filter that fuses both must not trust them more than the gyro.
 
     Args:
         calibration: its noise, raised so that regions of 68 % hold that share of its held-out windows.
