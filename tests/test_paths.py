@@ -14,7 +14,6 @@ from skidsteer.paths import (
     STEP,
     Path,
     arc,
-    as_they_stand,
     clothoid,
     join,
     lemniscate,
@@ -35,7 +34,6 @@ PATHS = {
     "spline": spline(WAYPOINTS),
     "loop": spline([[0.0, 0.0], [4.0, -1.0], [6.0, 3.0], [2.0, 5.0]], closed=True),
     "joined": join(line(2.0), clothoid(3.0, 0.0, 0.6), arc(1.0 / 0.6, 1.0), clothoid(2.0, 0.6, 0.0)),
-    "flipped": clothoid(6.0, -0.3, 0.9, START).flipped(),
 }
 ANY = pytest.mark.parametrize("path", PATHS.values(), ids=PATHS)
 
@@ -195,16 +193,6 @@ def test_laps_go_on_and_open_ends_go_straight_on() -> None:
     assert open_.curvature(-0.5) == open_.curvature(open_.length + 0.5) == 0.0
 
 
-@ANY
-def test_a_flipped_path_is_the_same_curve_from_its_end(path: Path) -> None:
-    s, back = np.linspace(0.0131, path.length - 0.0177, 57), path.flipped()
-    assert_allclose(back.at(path.length - s)[:, :2], path.at(s)[:, :2], atol=1e-7)
-    assert_allclose(wrap(back.at(path.length - s)[:, 2] - path.at(s)[:, 2] - np.pi), 0.0, atol=1e-5)
-    assert_allclose(back.curvature(path.length - s), -path.curvature(s), atol=1e-3)
-    assert_allclose(back.curvature_slope(path.length - s), path.curvature_slope(s), atol=1e-9)
-    assert_allclose(back.flipped().knots[:, 4:], path.knots[:, 4:], atol=2e-3)
-
-
 def test_in_reverse_the_rear_leads() -> None:
     path = arc(3.0, 1.0).in_reverse()
     assert_allclose(path.robot(0.0), [0.0, 0.0, np.pi])
@@ -224,16 +212,6 @@ def test_a_moved_path_is_moved_everywhere(x: float, y: float, yaw: float) -> Non
 def test_a_path_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="read-only"):
         line(1.0).knots[0, 0] = 1.0
-
-
-def test_paths_as_they_stand_must_meet() -> None:
-    first = arc(2.0, 1.0)
-    both = as_they_stand(first, line(1.0, first.end))
-    assert both.length == pytest.approx(3.0)
-    with pytest.raises(RequestError, match=r"path 2 begins 0\.0000 m and 11\.46 deg off the end of path 1; a corner"):
-        as_they_stand(line(1.0), line(1.0, (1.0, 0.0, 0.2)))
-    with pytest.raises(RequestError, match=r"path 3 begins 0\.5000 m"):
-        as_they_stand(line(1.0), line(1.0, (1.0, 0.0, 0.0)), line(1.0, (2.5, 0.0, 0.0)))
 
 
 def knots(*rows: tuple[float, ...]) -> FloatArray:

@@ -145,16 +145,6 @@ class Path:
         moved[:, 1:4] = compose(compose(np.asarray(start, dtype=float), invert(self.knots[0, 1:4])), moved[:, 1:4])
         return replace(self, knots=moved)
 
-    def flipped(self) -> Self:
-        """The same curve from its end to its beginning."""
-        rows, length = self.knots[::-1].copy(), np.diff(self.knots[:, 0])[::-1]
-        rows[:, 0] = self.length - rows[:, 0]
-        rows[:, 3] += np.pi
-        before = self.knots[-2::-1]  # the piece that a row of the flipped path begins
-        rows[:-1, 4], rows[:-1, 5] = -(before[:, 4] + before[:, 5] * length), before[:, 5]
-        rows[-1, 4:] = -self.knots[0, 4], self.knots[0, 5]
-        return replace(self, knots=rows)
-
     def in_reverse(self) -> Self:
         """The same curve, driven with the other end of the robot ahead."""
         return replace(self, reverse=not self.reverse)
@@ -354,22 +344,6 @@ def join(*paths: Path) -> Path:
         moved = path.placed(last[1:4]).knots + [last[0], 0.0, 0.0, 0.0, 0.0, 0.0]
         rows = [*rows[:-1], rows[-1][:-1], moved]
     return replace(paths[0], knots=np.concatenate(rows))
-
-
-def as_they_stand(*paths: Path) -> Path:
-    """Open paths one after the other where they lie.
-
-    Raises:
-        RequestError: as ``join``, and where one does not begin as the one before ends: how far off it is.
-    """
-    for i, (path, following) in enumerate(itertools.pairwise(paths), start=1):
-        gap = between(path.end, following.knots[0, 1:4])
-        if np.hypot(gap[0], gap[1]) > GAP or abs(gap[2]) > KINK:
-            raise RequestError(
-                f"path {i + 1} begins {np.hypot(gap[0], gap[1]):.4f} m and {np.degrees(gap[2]):.2f} deg off the end of"
-                f" path {i}; a corner must be rounded off, for example by a clothoid"
-            )
-    return join(*paths)
 
 
 def _count(length: float) -> int:
