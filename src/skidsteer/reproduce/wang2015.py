@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from skidsteer.identify.circle_test import fit_coefficient, icr_error
-from skidsteer.laser.error_budget import bearing_error, motion_error, point_error
 from skidsteer.laser.plate import Sightings, find_plate
 from skidsteer.laser.scans import SCANNERS
 from skidsteer.laser.scene import simulate_scans
@@ -111,10 +112,11 @@ def _spacing_mm(distance: float) -> float:
 
 
 def _budget_rows(laser: Sightings) -> tuple[Row, ...]:
-    """Eqs. (37)-(41), each from the printed figures before it."""
-    scanner, far = SCANNERS["lms400"], DISTANCES[1]
-    static, moved = point_error(0.003, float(scanner.step), far), motion_error(0.7, 1.0 / 135.0)
-    through = bearing_error(static + moved, DISTANCES[0])
+    """The bounds of Eqs. (37)-(41), which add largest errors, each from the printed figures before it."""
+    near, far = DISTANCES
+    static = 0.003 + far * SCANNERS["lms400"].step  # Eq. (37): errors of range and bearing
+    moved = 0.7 * (1.0 / 135.0)  # Eq. (38): way in the time of a scan
+    bearing, through = (math.sqrt(2.0) * error / near for error in (0.013, static + moved))  # Eq. (41)
     line = np.sqrt(laser.covariance[:, 2, 2])
     return (
         compared("error of a point at rest [m], Eq. (37)", 0.008, static, 5e-4, "at 3 m"),
@@ -123,13 +125,13 @@ def _budget_rows(laser: Sightings) -> tuple[Row, ...]:
             0.005,
             moved,
             5e-4,
-            f"at 135 Hz; at the 3.7 ms between scans of section 3.2 it is {motion_error(0.7, 0.0037):.4f}",
+            f"at 135 Hz; at the 3.7 ms between scans of section 3.2 it is {0.7 * 0.0037:.4f}",
         ),
         compared("error of a point [m], Eq. (39)", 0.013, static + moved, 5e-4, "the sum, not rounded before"),
         compared(
             "error of the heading [rad], Eq. (41)",
             0.018,
-            bearing_error(0.013, DISTANCES[0]),
+            bearing,
             5e-4,
             f"bearing of one point at 1 m ({through:.4f} without rounding before); the line through the plate has a"
             f" standard deviation of {line.min():.4f} to {line.max():.4f} in the simulated scans",
