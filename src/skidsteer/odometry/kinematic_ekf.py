@@ -21,9 +21,11 @@ a are constant through a step: m += a dt, and the pose moves as with m + a dt / 
 G diag(sigma_a^2) G' with G = dt [(F - I)_m / 2; 1]. Slip parameters may wander, and so may the pose with the distance
 rolled (neither is Thalmann's).
 
-Observations. The encoders pass the compatibility test first. What is excluded once may be an outlier; what is excluded
-again and again is motion: each exclusion adds d^2 / (threshold patience) to the variance of its motion parameter, so
-that a constant disagreement is believed after ``patience`` samples. An infinite patience is the paper's filter.
+Observations. The encoders pass the compatibility test first, Eq. (10) (``reference_update``). Where T is above its
+threshold the observation goes whose exclusion lowers T the most, by (D^-1 d)_i^2 / (D^-1)_ii, and the rest is tested
+again. What is excluded once may be an outlier; what is excluded again and again is motion: each exclusion adds
+d^2 / (threshold patience) to the variance of its motion parameter, so that a constant disagreement is believed after
+``patience`` samples. An infinite patience is the paper's filter.
 
 Wheel speeds are held from sample to sample everywhere in this package, so a sample is taken into the state first, then
 time advances with it.
@@ -41,8 +43,7 @@ from numpy.typing import ArrayLike
 from skidsteer.errors import DataError, RequestError
 from skidsteer.kernels import thalmann as kernels
 from skidsteer.models.transfer_factor import TransferFactor
-from skidsteer.odometry.compatibility import threshold
-from skidsteer.odometry.reference_update import Moving, updated
+from skidsteer.odometry.reference_update import Moving, threshold, updated
 from skidsteer.odometry.state import FilterState, Innovation, Measurement, fingerprint, refuse_foreign, symmetric
 from skidsteer.odometry.state_choice import MOTION, Choice, SystemNoise, rims, unit_variance
 from skidsteer.se2 import FloatArray

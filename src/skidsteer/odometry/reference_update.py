@@ -1,13 +1,19 @@
-"""What a reference, a gyro or a standstill tells of a state that begins with a pose; its update in Joseph's form."""
+"""What a reference, a gyro or a standstill tells of a state that begins with a pose; its update in Joseph's form.
+
+Measurements are tested first, as in Thalmann 2016: where they fit the prediction the innovation d has mean zero and the
+covariance D = H P H' + R, and T = d' D^-1 d, Eq. (10), is chi-square with as many degrees of freedom as d has numbers.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.stats import chi2
 
-from skidsteer.errors import DataError
-from skidsteer.odometry.compatibility import statistic, threshold
+from skidsteer.errors import DataError, RequestError
 from skidsteer.odometry.state import (
     SAME_TIME,
     FilterState,
@@ -22,6 +28,18 @@ from skidsteer.odometry.state import (
 from skidsteer.se2 import FloatArray, rotate, wrap
 
 STANDSTILL = 1e-3  # [m/s] standard deviation of each rim's speed of a robot at rest
+
+
+@lru_cache
+def threshold(significance: float, count: int) -> float:
+    """Value that T of ``count`` numbers that fit exceeds with this probability; infinite for zero.
+
+    Raises:
+        RequestError: a significance outside [0, 1).
+    """
+    if not 0.0 <= significance < 1.0:
+        raise RequestError(f"a significance is a probability from 0 (no test) to below 1, got {significance}")
+    return float(chi2.isf(significance, count)) if significance > 0.0 else math.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +85,7 @@ def updated(state: FilterState, moving: Moving, seen: Measurement, gate: float) 
         raise DataError(f"the measurement at {state.time:.3f} s is NaN or infinite; leave it out")
     R, P = refuse_indefinite("measurement", R), state.covariance
     S = H @ P @ H.T + R
-    squared = statistic(d, S)
+    squared = float(d @ np.linalg.solve(S, d))
     if squared > threshold(gate, len(d)):
         return state, Innovation(squared, len(d), accepted=False)
     K = np.linalg.solve(S, H @ P).T

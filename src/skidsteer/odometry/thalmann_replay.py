@@ -10,8 +10,8 @@ import numpy as np
 from skidsteer.drive import Series
 from skidsteer.errors import DataError
 from skidsteer.kernels import thalmann as kernels
-from skidsteer.odometry.compatibility import threshold
 from skidsteer.odometry.kinematic_ekf import KinematicEkf
+from skidsteer.odometry.reference_update import threshold
 from skidsteer.odometry.state import FilterState, refuse_foreign
 from skidsteer.se2 import FloatArray
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from skidsteer.drive import Series
 from skidsteer.models import Differential
-from skidsteer.odometry.compatibility import threshold
 from skidsteer.odometry.kinematic_ekf import thalmann_filter
 from skidsteer.odometry.reckoning import reckon
+from skidsteer.odometry.reference_update import threshold
 from skidsteer.odometry.state_choice import SystemNoise
 from skidsteer.odometry.thalmann_replay import Replay, replay
 from skidsteer.reproduce.figure import Curve, Figure
