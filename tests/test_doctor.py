@@ -25,9 +25,12 @@ from skidsteer.doctor.signs import confidence
 from skidsteer.doctor.units import widths
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
+from skidsteer.models import Differential
 from skidsteer.samples import sample
 from skidsteer.se2 import FloatArray, between, compose, wrap
+from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import Vehicle
+from skidsteer.windows import Mount
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -145,6 +148,46 @@ def test_a_reference_that_looks_backwards_is_not_cured(drive: Drive) -> None:
     finding = the("backwards", wrong)
     assert not finding.fixable
     assert fix(wrong, [finding]) == (wrong, ())
+
+
+@pytest.mark.parametrize("yaw_deg", [89.2, -60.0, 135.0, 15.0])
+def test_a_sensor_that_is_turned_is_told_from_wrong_wheels(drive: Drive, yaw_deg: float) -> None:
+    assert drive.pose is not None
+    finding = the("turned_reference", pose(drive, compose(drive.pose.values, [0.4, -0.1, np.radians(yaw_deg)])))
+    assert_allclose(np.degrees(finding.amount), yaw_deg, atol=1.0)
+    assert finding.severity == "info"  # a calibration finds the angle by itself
+    assert not finding.fixable
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0])
+def test_faults_of_the_wheels_are_found_behind_a_turned_sensor(drive: Drive, yaw_deg: float) -> None:
+    assert drive.pose is not None
+    seen = pose(drive, compose(drive.pose.values, [0.0, 0.0, np.radians(yaw_deg)]))
+    turned = {"turned_reference"} if yaw_deg else set()
+    for kind, values in (
+        ("swapped_sides", drive.wheels.values[:, ::-1]),
+        ("left_negated", drive.wheels.values * [-1.0, 1.0]),
+        ("wheels_in_mm_s", drive.wheels.values * 1e3),
+    ):
+        assert {f.kind for f in examine(wheels(seen, values))} == {kind, *turned}
+
+
+def test_a_compass_in_degrees_is_read(drive: Drive) -> None:
+    assert drive.pose is not None
+    x, y, yaw = drive.pose.values.T
+    wrong = pose(drive, np.column_stack([x, y, 90.0 - np.degrees(yaw)]))
+    findings = examine(wrong)
+    assert {f.kind for f in findings} == {"reference_yaw_sign", "reference_yaw_degrees", "turned_reference"}
+    cured, _ = fix(wrong, findings)
+    assert cured.pose is not None
+    assert_allclose(cured.pose.values[:, 2], yaw - 0.5 * np.pi, atol=1e-9)
+    assert [f.kind for f in examine(cured)] == ["turned_reference"]
+
+
+def test_a_sensor_far_off_the_middle_of_a_robot_that_turns_on_the_spot_is_not_turned() -> None:
+    rims = rims_from_manoeuvres(np.array([[20.0, 0.0, 0.8], [20.0, 0.0, -0.8]] * 2), Differential(0.9))
+    seen = kinematic_drive("spin", VEHICLE, Differential(0.9), rims, Sensors(mount=Mount(1.5, 0.2)), seed=1)
+    assert "turned_reference" not in {f.kind for f in examine(seen)}
 
 
 def test_a_gyro_alone_cannot_tell_whose_sign_is_wrong(drive: Drive) -> None:

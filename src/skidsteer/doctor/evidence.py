@@ -8,6 +8,7 @@ import numpy as np
 
 from skidsteer.doctor.alignment import REACH, Alignment, Hypothesis, Link, align
 from skidsteer.doctor.folding import Folding, fold
+from skidsteer.doctor.heading import travel_angle
 from skidsteer.doctor.signals import (
     OUTLIER,
     Signal,
@@ -61,7 +62,12 @@ BY_GYRO = (
 GYRO_BY_REFERENCE = (Hypothesis("", (Link(TURN, 0, 1),)), Hypothesis("gyro_sign", (Link(TURN, 0, -1),)))
 HEADING_STEP = 0.5  # [s]
 MORE_ALONG = 0.05
-FULL_TURNS = {"": 2.0 * np.pi, "reference_yaw_degrees": 360.0, "reference_yaw_sign": -2.0 * np.pi}
+FULL_TURNS = {
+    "": 2.0 * np.pi,
+    "reference_yaw_degrees": 360.0,
+    "reference_yaw_sign": -2.0 * np.pi,
+    "reference_yaw_degrees reference_yaw_sign": -360.0,  # of a compass
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +108,8 @@ class Evidence:
     wheels: Signal
     reference: Signal | None
     gyro: Signal | None
-    yaw_fault: str  # kind of the finding about the reference yaw, or ""
+    yaw_fault: str  # kinds of the findings about the reference yaw, or ""
+    turned: float  # [rad] yaw of the sensor of the reference on the robot; 0: as it should be
     by_reference: Pair | None  # reference against wheels
     by_gyro: Pair | None  # gyro against wheels
     reference_by_gyro: Pair | None  # reference against gyro
@@ -115,25 +122,64 @@ def gather(drive: Drive) -> Evidence:
     total = total_of_wheels(drive)
     wheels = sampled(total, step)
     gyro = None if drive.gyro is None else sampled(total_of_gyro(drive.gyro, drive), step)
-    fault, reference, by_reference = _reference(drive, wheels, step, reach)
-    by_gyro = _pair(gyro, wheels, BY_GYRO, reach)
-    reference_by_gyro = _pair(reference, gyro, GYRO_BY_REFERENCE, reach)
-    return Evidence(drive, folding, total, wheels, reference, gyro, fault, by_reference, by_gyro, reference_by_gyro)
+    seen = _reference(drive, wheels, step, reach)
+    return Evidence(
+        drive,
+        folding,
+        total,
+        wheels,
+        seen.signal,
+        gyro,
+        seen.fault,
+        seen.turned,
+        seen.by_wheels,
+        by_gyro=_pair(gyro, wheels, BY_GYRO, reach),
+        reference_by_gyro=_pair(seen.signal, gyro, GYRO_BY_REFERENCE, reach),
+    )
 
 
-def _reference(drive: Drive, wheels: Signal, step: float, reach: float) -> tuple[str, Signal | None, Pair | None]:
-    """The reference with its yaw read in the way that fits the wheels best: kind of fault, signal, pair."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """The reference read in one way: faults of its yaw, yaw of its sensor on the robot [rad], signal, beside wheels."""
+
+    fault: str = ""
+    turned: float = 0.0
+    signal: Signal | None = None
+    by_wheels: Pair | None = None
+
+    @property
+    def score(self) -> float:
+        """[nat] of how well it goes with the wheels, less what a fault must be ahead by."""
+        if self.by_wheels is None or (self.fault and not self.by_wheels.known):
+            return -np.inf
+        return self.by_wheels.best.score - (CLEAR if self.fault else 0.0)
+
+    @property
+    def wrong(self) -> tuple[float, float]:
+        """How many faults of the wheels it takes, and [nat] how far these are ahead of none."""
+        if self.by_wheels is None:
+            return np.inf, np.inf
+        return len(self.by_wheels.best.hypothesis.name.split()), self.by_wheels.margin
+
+
+def _reference(drive: Drive, wheels: Signal, step: float, reach: float) -> _Reading:
+    """The reference with its yaw read in the way that fits the wheels best."""
     if drive.position is not None and drive.pose is None:
         signal = signal_of_positions(drive.position, drive, step)
         both = Signal(wheels.start, wheels.step, np.concatenate([wheels.values, np.abs(wheels.values)], axis=1))
-        return "", signal, _pair(signal, both, BY_POSITION, reach)
+        return _Reading("", 0.0, signal, _pair(signal, both, BY_POSITION, reach))
     if drive.pose is None:
-        return "", None, None
-    read = {}
-    for fault, full_turn in _credible_turns(drive.pose).items():
-        signal = sampled(total_of_poses(drive.pose, drive, full_turn), step)
-        read[fault] = (fault, signal, _pair(signal, wheels, BY_POSE, reach))
-    return max(read.values(), key=lambda r: _fit(r[2]) - (CLEAR if r[0] else 0.0))
+        return _Reading()
+    pose, readings = drive.pose, []
+    for fault, full_turn in _credible_turns(pose).items():
+        angle = travel_angle(pose, drive, full_turn, step)
+        # Which end of the line of travel is ahead: the one with which less of the wheels is wrong.
+        ends = []
+        for turned in (angle, float(wrap(angle + np.pi))) if angle else (0.0,):
+            signal = sampled(total_of_poses(pose, drive, full_turn, turned), step)
+            ends.append(_Reading(fault, turned, signal, _pair(signal, wheels, BY_POSE, reach)))
+        readings.append(min(ends, key=lambda end: end.wrong))
+    return max(readings, key=lambda reading: reading.score)
 
 
 def _credible_turns(pose: Series) -> dict[str, float]:
@@ -153,10 +199,6 @@ def _credible_turns(pose: Series) -> dict[str, float]:
 
     usual = along(FULL_TURNS[""])
     return {name: turn for name, turn in FULL_TURNS.items() if name == "" or along(turn) > usual + MORE_ALONG}
-
-
-def _fit(pair: Pair | None) -> float:
-    return -np.inf if pair is None else pair.best.score
 
 
 def _pair(a: Signal | None, b: Signal | None, hypotheses: tuple[Hypothesis, ...], reach: float) -> Pair | None:

@@ -15,6 +15,7 @@ KINDS: dict[str, str] = {
     "turn_sign": "wheels and gyro turn opposite ways, and nothing tells which of them is wrong",
     "gyro_sign": "the gyro counts clockwise",
     "reference_yaw_sign": "the yaw of the reference counts clockwise",
+    "turned_reference": "the sensor of the reference is turned against the way the robot drives",
     "gyro_degrees": "the gyro is in deg/s",
     "reference_yaw_degrees": "the yaw of the reference is in degrees",
     "wheels_in_rad_s": "wheel speeds are in rad/s",

@@ -109,14 +109,17 @@ def total_of_gyro(gyro: Series, drive: Drive) -> Total:
     return _held(gyro.t, gyro.values, drive)
 
 
-def total_of_poses(pose: Series, drive: Drive, full_turn: float = 2.0 * np.pi) -> Total:
-    """Running total of the way forward [m] and of the yaw [rad] of reference poses recorded with that full turn."""
-    yaw = pose.values[:, 2] * (2.0 * np.pi / full_turn)
-    turned = wrap(np.diff(yaw))
-    heading = yaw[:-1] + 0.5 * turned
+def total_of_poses(pose: Series, drive: Drive, full_turn: float = 2.0 * np.pi, turned: float = 0.0) -> Total:
+    """Running total of the way forward [m] and of the yaw [rad] of reference poses recorded with that full turn.
+
+    ``turned`` [rad] is the yaw of their sensor on the robot.
+    """
+    yaw = pose.values[:, 2] * (2.0 * np.pi / full_turn) - turned
+    turn = wrap(np.diff(yaw))
+    heading = yaw[:-1] + 0.5 * turn
     step = np.diff(pose.values[:, :2], axis=0)
     forward = step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)
-    return _total(pose.t, np.stack([forward, turned], axis=-1), breaks(pose.t, drive) | leaps(pose.t, step))
+    return _total(pose.t, np.stack([forward, turn], axis=-1), breaks(pose.t, drive) | leaps(pose.t, step))
 
 
 def _held(t: FloatArray, rates: FloatArray, drive: Drive) -> Total:

@@ -6,6 +6,7 @@ import numpy as np
 
 from skidsteer.doctor.evidence import Evidence, Pair
 from skidsteer.doctor.findings import Finding
+from skidsteer.doctor.heading import turned_finding
 
 WHAT = {
     "swapped_sides": "The columns of the left and the right side are exchanged.",
@@ -58,9 +59,9 @@ def sign_findings(evidence: Evidence) -> list[Finding]:
         found = [_finding("reference_yaw_sign", opposed.margin, against="wheels and gyro", fixable=False)]
     else:
         found = [*_of_pair(reference, "reference"), _finding("gyro_sign", opposed.margin)]
-    if evidence.yaw_fault == "reference_yaw_sign":
+    if "reference_yaw_sign" in evidence.yaw_fault:
         found.append(_finding("reference_yaw_sign", reference.best.score, against="its own direction of travel"))
-    return found
+    return [*found, turned_finding(evidence.turned)] if evidence.turned else found
 
 
 def _known(pair: Pair | None) -> Pair | None:

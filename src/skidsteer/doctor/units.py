@@ -33,7 +33,7 @@ class _Unit:
 def unit_findings(evidence: Evidence) -> list[Finding]:
     """Findings about degrees for radians and wheel speeds in other units."""
     reference = evidence.by_reference
-    found = [_yaw_finding()] if evidence.yaw_fault == "reference_yaw_degrees" else []
+    found = [_yaw_finding()] if "reference_yaw_degrees" in evidence.yaw_fault else []
     gyro = _gyro_against_reference(evidence)
     if reference is not None and reference.known:
         return [*found, *gyro, *_wheels_against_reference(evidence.drive.vehicle, reference)]

@@ -198,7 +198,7 @@ def judge_drive(drive: Drive, findings: Sequence[Finding]) -> Observability | st
         refuse_unusable(drive)
     except DataError as refusal:
         return str(refusal).removeprefix(f"{drive.name}: ")
-    return observe_drive(drive)
+    return observe_drive(drive, align=any(f.kind == "turned_reference" for f in findings))
 
 
 def refuse_unusable(drive: Drive) -> None:

@@ -53,14 +53,18 @@ def observe(found: Fit, drives: list[Drive], windows: list[Windows], options: Fi
     )
 
 
-def observe_drive(drive: Drive) -> Observability:
+def observe_drive(drive: Drive, align: bool = False) -> Observability:
     """Verdict on one drive by a fit of the constant ICR, or of what its reference can tell of it.
+
+    Args:
+        drive: to judge.
+        align: the sensor of its reference is turned, by an angle that is to be estimated, too.
 
     Raises:
         DataError: no reference, or wheels and reference share no time.
     """
     model: type[Model] = Multiplier if drive.reference is None else Icr
-    options = FitOptions()
+    options = FitOptions(align=align)
     windows = increment_windows(drive)
     return observe(fit(model.nominal(drive.vehicle), [drive], [windows], options), [drive], [windows], options)
 
