@@ -25,7 +25,7 @@ from skidsteer.doctor.excitation import motion_of
 from skidsteer.drive import Drive, Series
 from skidsteer.io.folder import read_folder
 from skidsteer.models import Differential, Icr
-from skidsteer.se2 import FloatArray, chain, exp, wrap
+from skidsteer.se2 import FloatArray, chain, compose, exp, wrap
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import Vehicle
 
@@ -160,6 +160,23 @@ def gyro_sign(drive: Drive, rng: np.random.Generator) -> Iterator[Variant]:
         if d.gyro is not None:
             kinds = ("gyro_sign",) if d.pose is not None else ("turn_sign",)
             yield Variant(f"part {i}", with_values(d, "gyro", -d.gyro.values), kinds)
+
+
+# How sensors are built in.
+
+
+def turned_reference(drive: Drive, rng: np.random.Generator) -> Iterator[Variant]:
+    for yaw in (90.0, -90.0, *rng.uniform(-150.0, 150.0, 3)) if drive.pose is not None else ():
+        if abs(yaw) > 20.0:
+            turned = compose(drive.pose.values, [*rng.uniform(-0.5, 0.5, 2), np.radians(yaw)])
+            yield Variant(f"by {yaw:.0f} deg", with_values(drive, "pose", turned), ("turned_reference",))
+
+
+def gyro_drift(drive: Drive, rng: np.random.Generator) -> Iterator[Variant]:
+    for total in (0.06, -0.12, 0.25) if drive.gyro is not None else ():
+        t = drive.gyro.t
+        drifting = drive.gyro.values + (total * (t - t[0]) / (t[-1] - t[0]))[:, None]
+        yield Variant(f"{total:+g} rad/s", with_values(drive, "gyro", drifting), ("gyro_drift",))
 
 
 # Units. With a gyro alone, rad/s and a wrong radius look like another track width: they are not injected there.
@@ -428,6 +445,8 @@ FAULTS: dict[str, Injection] = {
     "one side negated": one_negated,
     "both sides negated": both_negated,
     "gyro sign": gyro_sign,
+    "reference turned": turned_reference,
+    "gyro drift": gyro_drift,
     "gyro in deg/s": gyro_degrees,
     "reference yaw in degrees": yaw_degrees,
     "wheels in rad/s": rad_per_second,

@@ -1,6 +1,7 @@
 import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +16,7 @@ from skidsteer.doctor import KINDS, Finding, examine, fix
 from skidsteer.doctor.alignment import Hypothesis, Link, align, most_probable_path
 from skidsteer.doctor.course import events_of
 from skidsteer.doctor.cures import CURES
+from skidsteer.doctor.drift import NO_DRIFT, drift_against
 from skidsteer.doctor.evidence import gather
 from skidsteer.doctor.excitation import motion_of
 from skidsteer.doctor.folding import LONGEST, fold
@@ -25,6 +27,7 @@ from skidsteer.doctor.signs import confidence
 from skidsteer.doctor.units import widths
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
+from skidsteer.io.folder import read_folder
 from skidsteer.models import Differential
 from skidsteer.samples import sample
 from skidsteer.se2 import FloatArray, between, compose, wrap
@@ -188,6 +191,38 @@ def test_a_sensor_far_off_the_middle_of_a_robot_that_turns_on_the_spot_is_not_tu
     rims = rims_from_manoeuvres(np.array([[20.0, 0.0, 0.8], [20.0, 0.0, -0.8]] * 2), Differential(0.9))
     seen = kinematic_drive("spin", VEHICLE, Differential(0.9), rims, Sensors(mount=Mount(1.5, 0.2)), seed=1)
     assert "turned_reference" not in {f.kind for f in examine(seen)}
+
+
+@pytest.mark.parametrize("slope", [5e-4, -5e-4])
+def test_a_gyro_that_drifts_is_found_and_steadied(drive: Drive, slope: float) -> None:
+    assert drive.gyro is not None
+    t = drive.gyro.t
+    wrong = gyro(drive, drive.gyro.values + slope * (t - t[0])[:, None])
+    finding = the("gyro_drift", wrong)
+    assert_allclose(finding.amount, slope, rtol=0.1)
+    cured, done = fix(wrong, [finding])
+    assert len(done) == 1
+    assert cured.gyro is not None
+    assert_allclose(cured.gyro.values, drive.gyro.values, atol=0.012)
+    assert examine(cured) == ()
+
+
+@pytest.mark.parametrize("slope", [5e-4, -5e-4])
+def test_a_gyro_that_drifts_is_no_clock_that_jumps(real: Callable[[str], Path], slope: float) -> None:
+    alone = read_folder(real("husky-gyro-flooring"))
+    assert alone.gyro is not None
+    t = alone.gyro.t
+    found = {f.kind for f in examine(gyro(alone, alone.gyro.values + slope * (t - t[0])[:, None]))}
+    assert found - {f.kind for f in examine(alone)} == {"gyro_drift"}
+
+
+def test_a_drift_is_told_beside_turns_by_hand() -> None:
+    t = 0.1 * np.arange(1000)
+    turns = np.sin(0.7 * t)
+    wheels_say = Signal(5.0, 0.1, np.column_stack([np.full(1000, 0.5), 2.0 * turns]))
+    found = drift_against(Signal(5.0, 0.1, (1.5 * turns + 0.3 + 2e-3 * t)[:, None]), wheels_say)
+    assert_allclose([found.start, found.slope, found.span], [5.0, 2e-3, 99.9], rtol=1e-9)
+    assert drift_against(Signal(0.0, 0.1, np.ones((10, 1))), wheels_say) == NO_DRIFT
 
 
 def test_a_gyro_alone_cannot_tell_whose_sign_is_wrong(drive: Drive) -> None:

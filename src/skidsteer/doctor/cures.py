@@ -95,6 +95,12 @@ def _stretch(drive: Drive, finding: Finding) -> Drive:
     return _with_samples(drive, finding.part, t - finding.amount * (t - finding.where[0][0]), np.ones(len(t), bool))
 
 
+def _steady(drive: Drive, finding: Finding) -> Drive:
+    """Take a line in time off a part; at its beginning it is 0."""
+    series: Series = getattr(drive, finding.part)
+    return _with_values(drive, finding.part, series.values - finding.amount * (series.t - series.t[0])[:, None])
+
+
 def _unjump(drive: Drive, finding: Finding) -> Drive:
     """Shift what follows the jump back; samples of the time in which it may have happened are dropped."""
     (start, end), *_ = finding.where
@@ -139,6 +145,7 @@ CURES: dict[str, tuple[Cure, str]] = {
     "right_negated": (_scale(1.0, -1.0), "negated v_right"),
     "both_negated": (_scale(-1.0, -1.0), "negated v_left and v_right"),
     "swapped_sides": (_swap, "exchanged the sides of the wheels"),
+    "gyro_drift": (_steady, "took a drift of {amount:.3g} a second off the {part}"),
     "gyro_sign": (_scale_part, "negated the gyro"),
     "reference_yaw_sign": (_scale_part, "negated the yaw of the pose"),
     "gyro_degrees": (_scale_part, "multiplied the gyro by {amount:.6f} (deg to rad)"),

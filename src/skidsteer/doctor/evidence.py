@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skidsteer.doctor.alignment import REACH, Alignment, Hypothesis, Link, align
+from skidsteer.doctor.drift import NO_DRIFT, Drift, drift_against
 from skidsteer.doctor.folding import Folding, fold
 from skidsteer.doctor.heading import travel_angle
 from skidsteer.doctor.signals import (
@@ -110,6 +111,7 @@ class Evidence:
     gyro: Signal | None
     yaw_fault: str  # kinds of the findings about the reference yaw, or ""
     turned: float  # [rad] yaw of the sensor of the reference on the robot; 0: as it should be
+    drift: Drift  # that was taken off the gyro
     by_reference: Pair | None  # reference against wheels
     by_gyro: Pair | None  # gyro against wheels
     reference_by_gyro: Pair | None  # reference against gyro
@@ -121,20 +123,21 @@ def gather(drive: Drive) -> Evidence:
     step, reach = grid_step(drive), _reach(drive)
     total = total_of_wheels(drive)
     wheels = sampled(total, step)
-    gyro = None if drive.gyro is None else sampled(total_of_gyro(drive.gyro, drive), step)
     seen = _reference(drive, wheels, step, reach)
+    turns = _gyro(drive, wheels, seen.signal, step, reach)
     return Evidence(
         drive,
         folding,
         total,
         wheels,
         seen.signal,
-        gyro,
+        turns.signal,
         seen.fault,
         seen.turned,
+        turns.drift,
         seen.by_wheels,
-        by_gyro=_pair(gyro, wheels, BY_GYRO, reach),
-        reference_by_gyro=_pair(seen.signal, gyro, GYRO_BY_REFERENCE, reach),
+        turns.by_wheels,
+        turns.reference_by_it,
     )
 
 
@@ -180,6 +183,38 @@ def _reference(drive: Drive, wheels: Signal, step: float, reach: float) -> _Read
             ends.append(_Reading(fault, turned, signal, _pair(signal, wheels, BY_POSE, reach)))
         readings.append(min(ends, key=lambda end: end.wrong))
     return max(readings, key=lambda reading: reading.score)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turns:
+    """The gyro, read in one way: drift taken off, signal, beside wheels, and beside the reference."""
+
+    drift: Drift = NO_DRIFT
+    signal: Signal | None = None
+    by_wheels: Pair | None = None
+    reference_by_it: Pair | None = None
+
+    @property
+    def score(self) -> float:
+        """[nat] of how well it goes with wheels and reference."""
+        return sum(pair.best.score for pair in (self.by_wheels, self.reference_by_it) if pair is not None)
+
+
+def _gyro(drive: Drive, wheels: Signal, reference: Signal | None, step: float, reach: float) -> _Turns:
+    """The gyro as it is, or less a drift where that goes clearly better with wheels and reference."""
+    if drive.gyro is None:
+        return _Turns()
+    raw = sampled(total_of_gyro(drive.gyro, drive), step)
+
+    def read(drift: Drift) -> _Turns:
+        gyro = drift.taken_off(raw)
+        beside = _pair(reference, gyro, GYRO_BY_REFERENCE, reach)
+        return _Turns(drift, gyro, _pair(gyro, wheels, BY_GYRO, reach), beside)
+
+    usual = read(NO_DRIFT)
+    drift = drift_against(raw, wheels if drive.pose is None or reference is None else reference)
+    steady = read(drift) if drift.matters else usual
+    return steady if steady.score > usual.score + CLEAR else usual
 
 
 def _credible_turns(pose: Series) -> dict[str, float]:

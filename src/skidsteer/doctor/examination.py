@@ -9,6 +9,7 @@ from skidsteer.doctor.evidence import gather
 from skidsteer.doctor.excitation import excitation_findings
 from skidsteer.doctor.findings import SEVERITIES, Finding
 from skidsteer.doctor.limits import limit_findings
+from skidsteer.doctor.mounting import mounting_findings
 from skidsteer.doctor.pauses import pause_findings
 from skidsteer.doctor.sampling import sampling_findings
 from skidsteer.doctor.signs import sign_findings
@@ -18,6 +19,7 @@ from skidsteer.drive import Drive
 TESTS = (
     sign_findings,
     unit_findings,
+    mounting_findings,
     clock_findings,
     pause_findings,
     sampling_findings,

@@ -17,6 +17,7 @@ KINDS: dict[str, str] = {
     "reference_yaw_sign": "the yaw of the reference counts clockwise",
     "turned_reference": "the sensor of the reference is turned against the way the robot drives",
     "gyro_degrees": "the gyro is in deg/s",
+    "gyro_drift": "the bias of the gyro drifts",
     "reference_yaw_degrees": "the yaw of the reference is in degrees",
     "wheels_in_rad_s": "wheel speeds are in rad/s",
     "wheels_in_mm_s": "wheel speeds are in mm/s",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from skidsteer.doctor.findings import Finding
 from skidsteer.doctor.signals import sampled, total_of_poses, typical
 from skidsteer.drive import Drive, Series
 
@@ -41,21 +40,3 @@ def travel_angle(pose: Series, drive: Drive, full_turn: float, step: float) -> f
     line = size @ np.exp(2j * np.angle(apart)) / size.sum()
     angle = -0.5 * float(np.angle(line))
     return angle if abs(line) > ONE_WAY and abs(angle) > LEAST else 0.0
-
-
-def turned_finding(angle: float) -> Finding:
-    """The finding about a sensor of the pose at a yaw [rad] on the robot."""
-    degrees = np.degrees(angle)
-    return Finding(
-        "turned_reference",
-        f"The sensor of the reference is turned by {degrees:.1f} deg against the way the robot drives, or its yaw"
-        " counts from another axis (north for east).",
-        (),
-        0.9,
-        "info",
-        "Where the angle is not known the robot seems to drive sideways; `skidsteer calibrate` finds it by itself.",
-        f"Nothing has to be done to calibrate; if the angle is known, give it as --mount X,Y,{angle:.4f}.",
-        False,
-        "pose",
-        angle,
-    )

@@ -6,7 +6,6 @@ import numpy as np
 
 from skidsteer.doctor.evidence import Evidence, Pair
 from skidsteer.doctor.findings import Finding
-from skidsteer.doctor.heading import turned_finding
 
 WHAT = {
     "swapped_sides": "The columns of the left and the right side are exchanged.",
@@ -61,7 +60,7 @@ def sign_findings(evidence: Evidence) -> list[Finding]:
         found = [*_of_pair(reference, "reference"), _finding("gyro_sign", opposed.margin)]
     if "reference_yaw_sign" in evidence.yaw_fault:
         found.append(_finding("reference_yaw_sign", reference.best.score, against="its own direction of travel"))
-    return [*found, turned_finding(evidence.turned)] if evidence.turned else found
+    return found
 
 
 def _known(pair: Pair | None) -> Pair | None:
