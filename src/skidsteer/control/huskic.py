@@ -86,13 +86,7 @@ class Huskic:
         return state.direction * v, omega
 
     def advance(
-        self,
-        state: PathState,
-        pose: ArrayLike,
-        twist: ArrayLike,
-        dt: float,
-        commanded: Command,
-        reckoned: bool = False,
+        self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
         return advanced(state, pose, twist, dt, self.icr_x, self.gains.k1)

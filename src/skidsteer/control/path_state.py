@@ -54,10 +54,10 @@ class PathState:
         """Whether the end is reached: every controller stops there."""
         return self.remaining <= ARRIVED
 
-    def projected(self, pose: ArrayLike) -> PathState:
-        """At the nearest point of the path, looked for about where it was (``Path.project``)."""
-        x, y, _ = finite("pose", pose)
-        return replace(self, s=self.path.project((x, y), near=self.s))
+    def projected(self, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
+        """At the nearest point of the path, looked for about where it was: ``Controller.advance`` without a target."""
+        (x, y, _), _ = finite("pose", pose), finite("twist", twist)
+        return replace(self, s=self.path.project((x, y), near=self.s)) if elapsed(dt) > 0.0 else self
 
 
 class PathError(NamedTuple):
@@ -100,13 +100,7 @@ class Controller(Protocol[State]):
         """
 
     def advance(
-        self,
-        state: State,
-        pose: ArrayLike,
-        twist: ArrayLike,
-        dt: float,
-        commanded: Command,
-        reckoned: bool = False,
+        self, state: State, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> State:
         """The state dt [s] later; a dt of 0 moves no target.
 

@@ -21,7 +21,6 @@ from skidsteer.control.path_state import (
     PathError,
     PathState,
     braked,
-    elapsed,
     finite,
     path_error,
     require_positive,
@@ -74,17 +73,10 @@ class Pentzer:
         return state.direction * v, omega
 
     def advance(
-        self,
-        state: PathState,
-        pose: ArrayLike,
-        twist: ArrayLike,
-        dt: float,
-        commanded: Command,
-        reckoned: bool = False,
+        self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
-        finite("twist", twist)
-        return state.projected(pose) if elapsed(dt) > 0.0 else state
+        return state.projected(pose, twist, dt)
 
     def _turn(self, error: PathError, v: float, icr_x: float) -> float:
         """Omega [rad/s]."""

@@ -27,15 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skidsteer.control.observer import Estimate, Observer, Triple
-from skidsteer.control.path_state import (
-    Command,
-    PathState,
-    elapsed,
-    finite,
-    path_error,
-    require_positive,
-    wrapped,
-)
+from skidsteer.control.path_state import Command, PathState, elapsed, finite, path_error, require_positive, wrapped
 from skidsteer.control.profile import Limits, SpeedProfile, rims_by_speed, speed_profile
 from skidsteer.control.speed import Wheels, icr_x_at
 from skidsteer.errors import RequestError
@@ -232,26 +224,14 @@ class Predictive:
         error = path_error(state, (x, y, yaw))
         now, turn = estimate.now, estimate.turn
         v, omega = state.asked
-        return np.array(
-            [
-                error.y_e,
-                error.theta_e,
-                now[slip.SIDE],
-                turn[slip.OMEGA],
-                estimate.rims,
-                omega,
-                state.s,
-                estimate.speed,
-                v,
-            ]
-        )
+        lateral = error.y_e, error.theta_e, now[slip.SIDE], turn[slip.OMEGA]
+        return np.array([*lateral, estimate.rims, omega, state.s, estimate.speed, v])
 
     def _body(self, state: PredictiveState) -> FloatArray:
         now, turn, limits = state.estimate.now, state.estimate.turn, self.limits
         slips = now[[slip.SCALE, slip.LOSS, slip.ICR_X, slip.COMPLIANCE, slip.GIVE]]
         bounds = self.wheels.max_speed, limits.rim_acceleration, limits.acceleration, limits.omega_max
-        body = (state.stage, self.period, self.observer.lag, *slips, *turn[1:], *state.rims.ravel(), *bounds)
-        return np.array(body)
+        return np.array([state.stage, self.period, self.observer.lag, *slips, *turn[1:], *state.rims.ravel(), *bounds])
 
     def _weights(self, state: PredictiveState) -> FloatArray:
         gains = self.gains

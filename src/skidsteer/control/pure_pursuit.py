@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from skidsteer.control.path_state import Command, PathState, elapsed, finite, require_positive
+from skidsteer.control.path_state import Command, PathState, finite, require_positive
 from skidsteer.kernels import paths as kernels
 
 STEPS = 20  # of the lookahead distance, along the path, where its end is looked for
@@ -76,17 +76,10 @@ class PurePursuit:
         return state.direction * speed, speed * curvature
 
     def advance(
-        self,
-        state: PathState,
-        pose: ArrayLike,
-        twist: ArrayLike,
-        dt: float,
-        commanded: Command,
-        reckoned: bool = False,
+        self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
-        finite("twist", twist)
-        return state.projected(pose) if elapsed(dt) > 0.0 else state
+        return state.projected(pose, twist, dt)
 
     def lookahead(self, v_x: float) -> float:
         """Lookahead distance [m] at a measured v_x [m/s]."""

@@ -75,13 +75,7 @@ class Soetanto:
         return state.direction * v, omega
 
     def advance(
-        self,
-        state: PathState,
-        pose: ArrayLike,
-        twist: ArrayLike,
-        dt: float,
-        commanded: Command,
-        reckoned: bool = False,
+        self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
         """See ``Controller``; what was commanded does not matter to this law."""
         return advanced(state, pose, twist, dt, 0.0, self.gains.k1)

@@ -55,7 +55,7 @@ def move(
     t = _clock(commands.t, step)
     poses, states, power = np.empty((len(t), 3)), np.empty((len(t), 5)), np.empty((len(t), 3))
     fixed = _numbers(robot, ground, quadrature)
-    ended, at, wheel = kernels.drive(t, commands.hold(t), state, robot.loads((0.0, 0.0)), *fixed, poses, states, power)
+    ended, at, wheel = kernels.drive(t, commands.hold(t), state, robot.loads(), *fixed, poses, states, power)
     _refuse_end(robot, ended, float(t[at]), wheel)
     return Motion(t, poses, states[:, :3], states[:, 3:], power)
 
@@ -67,25 +67,16 @@ class RollingRobot:
         robot: that moves; its lag is that of the wheels.
         ground: terrain everywhere, or areas of several; its times count from the beginning.
         start: (3,) pose, at rest.
-        step: [s] longest.
-        quadrature: over each patch.
 
     Raises:
         RequestError: a start that is not finite.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        ground: Ground | Terrain,
-        start: ArrayLike = (0.0, 0.0, 0.0),
-        step: float = STEP,
-        quadrature: Quadrature = NODES,
-    ) -> None:
-        self.robot, self.longest, self.t = robot, step, 0.0
+    def __init__(self, robot: Robot, ground: Ground | Terrain, start: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self.robot, self.t = robot, 0.0
         self.state, self.power = at_rest(start), np.zeros(3)
         ground = Ground(ground) if isinstance(ground, Terrain) else ground
-        self._fixed, self._loads = _numbers(robot, ground, quadrature), robot.loads((0.0, 0.0))
+        self._fixed, self._loads = _numbers(robot, ground, NODES), robot.loads()
         self._parts, self._length = np.zeros(1), 0.0  # [s] of a step, cut; of which length
 
     def step(self, rims: ArrayLike, dt: float) -> FloatArray:
@@ -98,7 +89,7 @@ class RollingRobot:
         if dt <= 0.0:
             return self.state
         if dt != self._length:
-            count = max(1, int(np.ceil(dt / self.longest * (1.0 - 1e-9))))
+            count = max(1, int(np.ceil(dt / STEP * (1.0 - 1e-9))))
             self._parts, self._length = np.linspace(0.0, dt, count + 1), dt
         n = len(self._parts)
         asked, t = np.empty((n, 2)), self.t + self._parts
@@ -113,12 +104,7 @@ class RollingRobot:
 
 
 def terramechanic_drive(
-    name: str,
-    robot: Robot,
-    ground: Ground | Terrain,
-    commands: Series,
-    sensors: Sensors = PLAIN,
-    seed: int = 0,
+    name: str, robot: Robot, ground: Ground | Terrain, commands: Series, sensors: Sensors = PLAIN, seed: int = 0
 ) -> Drive:
     """Drive a robot over a ground and record it.
 

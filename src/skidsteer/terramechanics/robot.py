@@ -52,7 +52,7 @@ class Robot:
             raise RequestError(f"robot {self.vehicle.name}: needs an even number of wheels from 4 on, and a wheel_base")
         if self.patch_length >= self.axles[0] - self.axles[1]:
             raise RequestError(f"robot {self.vehicle.name}: patches of {self.patch_length} m overlap along the robot")
-        if self.loads((0.0, 0.0)).min() < 0.0:
+        if self.loads().min() < 0.0:
             raise RequestError(
                 f"robot {self.vehicle.name}: a wheel is off the ground at rest; bring the centre of mass"
                 f" ({self.com_x}, {self.com_y}) m nearer to the middle of the wheels"
@@ -80,11 +80,11 @@ class Robot:
         x, y = self.places.T
         return np.asarray(-self.mass * self.com_height * np.column_stack([x / (x @ x), y / (y @ y)]))
 
-    def loads(self, acceleration: ArrayLike) -> FloatArray:
+    def loads(self, acceleration: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Load (..., w) [N] of each wheel; springs of equal stiffness share it, linearly in the place of the wheel.
 
         Args:
-            acceleration: (..., 2) [m/s^2] of the centre of mass, in the frame of the body.
+            acceleration: (..., 2) [m/s^2] of the centre of mass, in the frame of the body; default: at rest.
         """
         x, y = self.places.T
         lever = self.com_x * x / (x @ x) + self.com_y * y / (y @ y)

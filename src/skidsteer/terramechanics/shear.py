@@ -102,7 +102,7 @@ def wheel_forces(
         quadrature: over each patch.
     """
     forces = unit_forces(robot, terrain, twist, rims, quadrature)[..., 0]
-    loads = robot.loads((0.0, 0.0)) if loads is None else np.asarray(loads, dtype=float)
+    loads = robot.loads() if loads is None else np.asarray(loads, dtype=float)
     return np.asarray(forces * (loads * friction(terrain, rims)[..., None])[..., None])
 
 
@@ -120,7 +120,7 @@ def rolling_forces(
     twist, y = np.asarray(twist, dtype=float), robot.places[:, 1]
     hub = twist[..., :1] - twist[..., 2:] * y
     length = np.hypot(hub, STANDSTILL)
-    strength = terrain.rolling_resistance * (robot.loads((0.0, 0.0)) if loads is None else np.asarray(loads))
+    strength = terrain.rolling_resistance * (robot.loads() if loads is None else np.asarray(loads))
     lever = np.stack([-np.ones_like(y), np.zeros_like(y), y], axis=-1)
     arm = np.stack([np.ones_like(y), np.zeros_like(y), -y], axis=-1)
     slope = strength * STANDSTILL**2 / length**3
