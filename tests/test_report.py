@@ -61,13 +61,6 @@ def test_the_tread_icrs_of_the_icr_model_are_its_parameters() -> None:
     assert_allclose(found.place, [[-0.0120, 0.2553], [-0.0120, -0.3071]], atol=1e-12)
     assert_allclose(found.covariance, [np.diag([9e-4, 1e-4]), np.diag([9e-4, 4e-4])], atol=1e-9)
     assert_allclose(found.distance, 0.5624)
-    assert_allclose(found.distance_sigma, np.sqrt(5e-4), rtol=1e-5)
-
-
-def test_where_left_and_right_err_together_their_distance_is_known_better() -> None:
-    covariance = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 1e-6])
-    covariance[0, 1] = covariance[1, 0] = 0.9e-4
-    assert_allclose(tread_icrs(made_calibration(TRUTH, covariance)).distance_sigma, np.sqrt(0.2e-4), rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -25,6 +24,7 @@ from skidsteer.identify.select import Selection
 from skidsteer.identify.terrain import Terrains
 from skidsteer.plan.circumnavigation import Plan
 from skidsteer.plan.stretches import Stretch
+from skidsteer.report.markup import plain
 from skidsteer.reproduce.figure import Curve
 from skidsteer.reproduce.rows import Reproduction, tally
 
@@ -311,13 +311,5 @@ def _held_out(figures: HeldOut) -> Document:
 
 def to_json(document: Document) -> str:
     """Strict JSON of a document, in which no character is an order to a terminal."""
-    text = json.dumps(_finite(document), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain(document), indent=2, allow_nan=False, ensure_ascii=False)
     return re.sub(r"[^ -~\n]", lambda c: c[0] if printable(c[0]) == c[0] else json.dumps(c[0])[1:-1], text)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -71,22 +71,16 @@ def reckon(
     return chain(STEPS[geometry](twist, np.diff(wheels.t)), start)
 
 
-def polygon_error(speed: float, radius: float, rate: float, duration: float | None = None) -> float:
-    """Largest distance [m] of the polygon from the arc at the same time, on a circle from the same start.
-
-    Thalmann 2016, Figs. 4 and 5.
+def polygon_error(speed: float, radius: float, rate: float) -> float:
+    """Distance [m] of the polygon from the arc after one step, Thalmann 2016, Figs. 4 and 5.
 
     Args:
         speed: [m/s] along the circle.
         radius: [m]; infinite is the straight line.
         rate: [Hz] of the wheel samples.
-        duration: [s] driven; None: one step.
     """
-    n = 1 if duration is None else max(round(duration * rate), 1)
-    twist = np.broadcast_to([speed, 0.0, speed / radius], (n, 3))
-    dt = np.full(n, 1.0 / rate)
-    apart = chain(polygon(twist, dt))[:, :2] - chain(arc(twist, dt))[:, :2]
-    return float(np.hypot(*apart.T).max())
+    twist = np.array([speed, 0.0, speed / radius])
+    return float(np.hypot(*(polygon(twist, 1.0 / rate) - arc(twist, 1.0 / rate))[:2]))
 
 
 def off_circle(speed: float, radius: float, rate: float) -> float:

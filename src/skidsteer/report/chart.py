@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,8 +44,3 @@ def curve(x: FloatArray, y: FloatArray, name: str, colour: str, dash: str, width
     line = {"color": colour, "dash": dash, "width": width}
     values = {"x": np.round(x, 3).tolist(), "y": np.round(y, 4).tolist()}
     return {"type": "scatter", "mode": "lines", "name": name, **values, "line": line, "hoverinfo": "skip"}
-
-
-def charts(parts: Sequence[Chart | None]) -> Mapping[str, Json]:
-    """The figures of charts by name."""
-    return {chart.name: chart.figure for chart in parts if chart is not None}

@@ -29,7 +29,7 @@ def held_out_charts(calibration: Calibration) -> list[Chart]:
         "yaw_deg": f"yaw after {window} s [°]",
         "yaw_gyro_deg": f"turn in {window} s against the gyro [°]",
     }
-    wanted = [name for name in titles if any(_is_told(h, name) for h in calibration.held_out.values())]
+    wanted = [name for name in titles if any(spread_of(h, name) for h in calibration.held_out.values())]
     wanted = wanted[:2]  # the gyro where the reference tells no yaw
     return [_held_out_chart(calibration, name, titles[name]) for name in wanted]
 
@@ -38,10 +38,6 @@ def spread_of(figures: HeldOut, name: str) -> Spread | None:
     """The errors of that name; None where they are not known."""
     known: Spread | None = getattr(figures, name)
     return known if known is not None and np.isfinite(known.median) else None
-
-
-def _is_told(figures: HeldOut, name: str) -> bool:
-    return spread_of(figures, name) is not None
 
 
 def _held_out_chart(calibration: Calibration, name: str, title: str) -> Chart:

@@ -10,7 +10,6 @@ from importlib.resources import files
 from typing import Any
 
 from skidsteer.io.atomic import write_text
-from skidsteer.report.chart import charts
 from skidsteer.report.evidence import Evidence
 from skidsteer.report.markup import Html, embedded, tag
 from skidsteer.report.section import Section
@@ -33,7 +32,7 @@ def page(evidence: Evidence) -> str:
     scripts = (_plotly(), _own("page.js"))
     parts = sections(evidence)
     data = {
-        "charts": charts([chart for part in parts for chart in part.charts]),
+        "charts": {chart.name: chart.figure for part in parts for chart in part.charts},
         "tracks": [_track(track) for track in evidence.tracks],
     }
     head = tag(

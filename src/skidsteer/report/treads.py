@@ -21,7 +21,6 @@ class TreadIcrs:
 
     place: FloatArray
     covariance: FloatArray
-    distance_sigma: float  # [m]
 
     @property
     def distance(self) -> float:
@@ -37,9 +36,7 @@ def tread_icrs(calibration: Calibration) -> TreadIcrs:
     slopes = [(places(model.with_theta(model.theta + step)) - places(model)) / STEP for step in steps]
     jacobian = np.moveaxis(np.array(slopes).reshape(-1, 2, 2), 0, -1)
     known = calibration.covariance[np.ix_(index, index)]
-    apart = jacobian[0, 1] - jacobian[1, 1]
-    covariance = jacobian @ known @ np.swapaxes(jacobian, -1, -2)
-    return TreadIcrs(places(model), covariance, float(np.sqrt(max(apart @ known @ apart, 0.0))))
+    return TreadIcrs(places(model), jacobian @ known @ np.swapaxes(jacobian, -1, -2))
 
 
 def places(model: Model) -> FloatArray:
