@@ -178,10 +178,10 @@ def loss_figure(all_studies: Mapping[str, list[LossStudy]]) -> Figure:
 
 def simulated_lines() -> list[str]:
     done = thalmann2016.study()
-    names = [f"{p.place.name}: {model}" for p in done.places for model in p.loss.errors]
+    names = [f"{p.site.name}: {model}" for p in done.sites for model in p.loss.errors]
     lines = [MEDIANS, f"| lost for [s] | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-    for i, duration in enumerate(done.places[0].loss.durations):
-        cells = [f"{p.loss.medians(model)[i]:.3f}" for p in done.places for model in p.loss.errors]
+    for i, duration in enumerate(done.sites[0].loss.durations):
+        cells = [f"{p.loss.medians(model)[i]:.3f}" for p in done.sites for model in p.loss.errors]
         lines.append(f"| {duration:g} | {' | '.join(cells)} |")
     return [*lines, DETECTION.rstrip("\n"), *(detection_row(d) for d in done.detections)]
 

@@ -26,7 +26,8 @@ from skidsteer.identify.circle_test import (
 from skidsteer.models import Curvature, Icr, SymmetricIcr
 from skidsteer.models.curvature import icr_coefficient
 from skidsteer.models.slip_ratio import CircleRun
-from skidsteer.reproduce import Row, compared, giannoccaro2015, wang2015
+from skidsteer.reproduce import giannoccaro2015, wang2015
+from skidsteer.reproduce.rows import Row, compared
 from skidsteer.samples import SAMPLES, rover_runs, sample
 from skidsteer.se2 import exp
 from skidsteer.simulate import Sensors, kinematic_drive

@@ -53,7 +53,7 @@ def test_two_phases_at_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(thalmann2016, "DRIVES", 2)
     monkeypatch.setattr(thalmann2016, "DURATIONS", (20.0, 180.0))
     monkeypatch.setattr(thalmann2016, "WINDOWS", 6)
-    done = thalmann2016.place_study(LABORATORY)
+    done = thalmann2016.site_study(LABORATORY)
     assert len(done.slips) == 2
     for e in done.slips:
         assert abs(e.value - LABORATORY.slip) < 3.0 * e.sigma

@@ -26,6 +26,7 @@ GROUNDS = {"grass": "grass", "vinyl": "tiles", "macadam": "gravel"}  # of the pa
 LAPS, LAPS_LENGTH, COURSE_LENGTH = 5, 110.77, 159.83  # [m]
 LEMNISCATE = lemniscate(LAPS_LENGTH / LAPS / (lemniscate(1.0).length))
 SENSORS = Sensors(10.0, 0.005, float(np.radians(0.2)), encoder_rate=50.0, gyro_rate=50.0)
+EASE = 1.0  # [m] of a turn, in which its curvature grows
 SLOW, FAST = (0.15, 0.3, 0.45), (0.4, 0.8, 1.2, 1.6, 2.0)  # [m/s] of calibration drives
 
 PUBLISHED = {  # ICRs of a Summit XL in the settings that the authors publish, as ``Icr``
@@ -35,11 +36,11 @@ PUBLISHED = {  # ICRs of a Summit XL in the settings that the authors publish, a
 }
 
 
-def bend(radius: float, angle: float, ease: float = 1.0) -> Path:
-    """A turn by an angle [rad] at a radius [m]; its curvature grows from 0 and falls back over ``ease`` [m]."""
+def bend(radius: float, angle: float) -> Path:
+    """A turn by an angle [rad] at a radius [m]; its curvature grows from 0 and falls back over ``EASE``."""
     side = float(np.sign(angle))
-    curvature, rest = side / radius, abs(angle) - ease / radius
-    return join(clothoid(ease, 0.0, curvature), arc(radius, side * rest), clothoid(ease, curvature, 0.0))
+    curvature, rest = side / radius, abs(angle) - EASE / radius
+    return join(clothoid(EASE, 0.0, curvature), arc(radius, side * rest), clothoid(EASE, curvature, 0.0))
 
 
 def course() -> Path:

@@ -20,10 +20,10 @@ from skidsteer.reproduce import thalmann_example
 from skidsteer.reproduce.figure import Curve, Figure
 from skidsteer.reproduce.repeated_samples import Detection, detection
 from skidsteer.reproduce.rows import Reproduction, Row, compared, stands_in
-from skidsteer.reproduce.thalmann_drives import LABORATORY, NOISE, ROBOT, ROOFTOP, Place, drive
+from skidsteer.reproduce.thalmann_drives import LABORATORY, NOISE, ROBOT, ROOFTOP, Site, drive
 from skidsteer.se2 import FloatArray
 
-DRIVES = 5  # at each place; the first calibrates, tracking is lost in the others
+DRIVES = 5  # at each site; the first calibrates, tracking is lost in the others
 DURATIONS = tuple(float(t) for t in range(20, 200, 20))  # [s]
 WINDOWS = 40  # of each duration, shared by the four drives
 RATES = (5.0, 10.0, 20.0)  # [Hz] of Figs. 4 and 5
@@ -33,10 +33,10 @@ ASSUMED = "simulated, with a slip and a wandering that are assumed"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceStudy:
-    """One place: what each drive's calibration finds, and the errors over lost windows."""
+class SiteStudy:
+    """One site: what each drive's calibration finds, and the errors over lost windows."""
 
-    place: Place
+    site: Site
     found: tuple[InField, ...]
     loss: LossStudy
 
@@ -55,20 +55,20 @@ class PlaceStudy:
 class Study:
     """All that is simulated."""
 
-    places: tuple[PlaceStudy, ...]
+    sites: tuple[SiteStudy, ...]
     detections: tuple[Detection, ...]
 
 
 def study() -> Study:
     """Simulate everything; some ten seconds."""
-    places = tuple(place_study(place) for place in (LABORATORY, ROOFTOP))
+    sites = tuple(site_study(site) for site in (LABORATORY, ROOFTOP))
     rates = [detection(name, disturbance) for name in ("basic", "alternative") for disturbance in DISTURBANCES]
-    return Study(places, tuple(rates))
+    return Study(sites, tuple(rates))
 
 
-def place_study(place: Place) -> PlaceStudy:
-    """The two phases at one place, section 3.2."""
-    drives = [drive(place, seed) for seed in range(DRIVES)]
+def site_study(site: Site) -> SiteStudy:
+    """The two phases at one site, section 3.2."""
+    drives = [drive(site, seed) for seed in range(DRIVES)]
     calibrating = thalmann_filter(CALIBRATES, ROBOT.track_width, NOISE)
     found = tuple(calibrate_in_field(calibrating, wheels, tracking) for wheels, tracking in drives)
     filters = {"basic": thalmann_filter("basic", ROBOT.track_width, NOISE), RECKONS: found[0].reckoner}
@@ -76,7 +76,7 @@ def place_study(place: Place) -> PlaceStudy:
     parts = [loss_study(filters, *lost, DURATIONS, count, seed) for seed, lost in enumerate(drives[1:])]
     errors = {name: np.concatenate([part.errors[name] for part in parts], axis=1) for name in filters}
     starts = np.concatenate([part.starts for part in parts], axis=1)
-    return PlaceStudy(place, found, LossStudy(parts[0].durations, starts, errors))
+    return SiteStudy(site, found, LossStudy(parts[0].durations, starts, errors))
 
 
 def reproduction() -> Reproduction:
@@ -87,7 +87,7 @@ def reproduction() -> Reproduction:
 
 def rows(done: Study) -> tuple[Row, ...]:
     """The claims of the text beside ours."""
-    return (*_geometry_rows(), *_loss_rows(done.places), *_slip_rows(done.places))
+    return (*_geometry_rows(), *_loss_rows(done.sites), *_slip_rows(done.sites))
 
 
 def _geometry_rows() -> tuple[Row, ...]:
@@ -103,11 +103,11 @@ def _geometry_rows() -> tuple[Row, ...]:
     )
 
 
-def _loss_rows(places: tuple[PlaceStudy, ...]) -> tuple[Row, ...]:
-    reductions = np.concatenate([p.reduction for p in places])
-    shortest = ", ".join(f"{p.reduction[0]:.0f} % at the {p.place.name}" for p in places)
+def _loss_rows(sites: tuple[SiteStudy, ...]) -> tuple[Row, ...]:
+    reductions = np.concatenate([p.reduction for p in sites])
+    shortest = ", ".join(f"{p.reduction[0]:.0f} % at the {p.site.name}" for p in sites)
     first = f"{ASSUMED}; after {DURATIONS[0]:g} s: {shortest}, where wandering weighs more than slip"
-    basic, last = (float(places[0].loss.medians(name)[-1]) for name in ("basic", RECKONS))
+    basic, last = (float(sites[0].loss.medians(name)[-1]) for name in ("basic", RECKONS))
     beside = f"15 to 20 cm in the text, 85 cm with the basic model; ours {basic:.2f} m with the slip assumed"
     why = f"{ASSUMED}; median of {WINDOWS} windows"
     fall = 100.0 * (1.0 - 0.15 / 0.85)
@@ -121,20 +121,20 @@ def _loss_rows(places: tuple[PlaceStudy, ...]) -> tuple[Row, ...]:
     )
 
 
-def _slip_rows(places: tuple[PlaceStudy, ...]) -> tuple[Row, ...]:
-    laboratory, rooftop = (float(np.mean([e.value for e in p.slips])) for p in places)
-    chosen = " and ".join(f"{p.place.slip:g} ({p.place.name})" for p in places)
+def _slip_rows(sites: tuple[SiteStudy, ...]) -> tuple[Row, ...]:
+    laboratory, rooftop = (float(np.mean([e.value for e in p.slips])) for p in sites)
+    chosen = " and ".join(f"{p.site.slip:g} ({p.site.name})" for p in sites)
     reason = f"{ASSUMED}: {chosen}, chosen for errors after three minutes of about the paper's"
     what = "difference in the laboratory over that on the rooftop, Fig. 11"
-    return (*(_slip_row(p) for p in places), stands_in(what, 10.0, laboratory / rooftop, reason))
+    return (*(_slip_row(p) for p in sites), stands_in(what, 10.0, laboratory / rooftop, reason))
 
 
-def _slip_row(p: PlaceStudy) -> Row:
+def _slip_row(p: SiteStudy) -> Row:
     values = np.array([e.value for e in p.slips])
     sigma, scatter = float(np.mean([e.sigma for e in p.slips])), float(values.std(ddof=1))
-    what = f"scatter of the transfer-factor difference over {DRIVES} drives, {p.place.name}, Fig. 11"
+    what = f"scatter of the transfer-factor difference over {DRIVES} drives, {p.site.name}, Fig. 11"
     reason = (
-        f"'good reproducibility' without a figure; truth {p.place.slip:g}, mean {values.mean():.2g}; the filter's sigma"
+        f"'good reproducibility' without a figure; truth {p.site.slip:g}, mean {values.mean():.2g}; the filter's sigma"
         f" {sigma:.2g} is on the safe side, since white noise of encoders adds up and the rounding of counts does not"
     )
     return stands_in(what, float("nan"), scatter, f"{ASSUMED}; {reason}")
@@ -142,12 +142,12 @@ def _slip_row(p: PlaceStudy) -> Row:
 
 def figures(done: Study) -> tuple[Figure, ...]:
     """Counterparts of Figs. 4, 5 and 7 to 13."""
-    laboratory, rooftop = done.places
+    laboratory, rooftop = done.sites
     return (
         *geometry_figures(),
         *thalmann_example.figures(),
         _detection_figure(done.detections),
-        _slip_figure(done.places),
+        _slip_figure(done.sites),
         _loss_figure("figure-12", rooftop),
         _loss_figure("figure-13", laboratory),
     )
@@ -178,21 +178,21 @@ def _detection_figure(found: tuple[Detection, ...]) -> Figure:
     return Figure("figure-10-shares", title, "disturbance acceleration [m/s^2]", "share [%]", tuple(curves))
 
 
-def _slip_figure(places: tuple[PlaceStudy, ...]) -> Figure:
+def _slip_figure(sites: tuple[SiteStudy, ...]) -> Figure:
     curves = []
-    for p in places:
+    for p in sites:
         y = np.array([e.value for e in p.slips])
         spread = np.array([e.sigma for e in p.slips])
-        label = f"{p.place.name}, truth {p.place.slip:g}"
+        label = f"{p.site.name}, truth {p.site.slip:g}"
         curves.append(Curve(label, np.arange(1.0, DRIVES + 1), y, y - spread, y + spread))
     title = "Transfer-factor difference of independent drives"
     return Figure("figure-11", title, "drive", "difference [-]", tuple(curves))
 
 
-def _loss_figure(name: str, p: PlaceStudy) -> Figure:
+def _loss_figure(name: str, p: SiteStudy) -> Figure:
     curves = []
     for model, errors in p.loss.errors.items():
         low, middle, high = np.quantile(errors, [0.25, 0.5, 0.75], axis=1)
         curves.append(Curve(model, p.loss.durations, middle, low, high))
-    title = f"Largest error while tracking is lost, {p.place.name} (slip difference {p.place.slip:g})"
+    title = f"Largest error while tracking is lost, {p.site.name} (slip difference {p.site.slip:g})"
     return Figure(name, title, "time without tracking [s]", "largest error [m], median and quartiles", tuple(curves))

@@ -32,7 +32,7 @@ NOISE = SystemNoise(ACCELERATION, 2.0 * TURNING, encoder=0.003, walk=WANDER[0], 
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Site:
     """Where the robot drives: how much the right side slips, and how far the lines go."""
 
     name: str
@@ -40,17 +40,17 @@ class Place:
     line: float  # [m] of the longest straight lines
 
 
-LABORATORY = Place("laboratory", 0.0007, 5.0)
-ROOFTOP = Place("rooftop", 0.0005, 8.0)
+LABORATORY = Site("laboratory", 0.0007, 5.0)
+ROOFTOP = Site("rooftop", 0.0005, 8.0)
 
 
-def drive(place: Place, seed: int) -> tuple[Series, Tracking]:
+def drive(site: Site, seed: int) -> tuple[Series, Tracking]:
     """Wheels (n, 2) [m/s] at 10 Hz as the encoders tell them, and the track of the target, of one drive."""
-    rng = np.random.default_rng([seed, int(1e6 * place.slip)])
-    rims = _rims(_rounds(place.line, rng))
-    truth = TransferFactor(0.0, place.slip, 1.0, ROBOT.track_width)
+    rng = np.random.default_rng([seed, int(1e6 * site.slip)])
+    rims = _rims(_rounds(site.line, rng))
+    truth = TransferFactor(0.0, site.slip, 1.0, ROBOT.track_width)
     noise = int(rng.integers(2**31))
-    seen = kinematic_drive(place.name, ROBOT, truth, rims, SENSORS, motion_noise=WANDER, seed=noise)
+    seen = kinematic_drive(site.name, ROBOT, truth, rims, SENSORS, motion_noise=WANDER, seed=noise)
     assert seen.pose is not None
     positions = Series(seen.pose.t, seen.pose.values[:, :2], "positions")
     return with_repeats(counted(rims), REPEATED, rng)[0], Tracking(positions, SENSORS.position_sigma)

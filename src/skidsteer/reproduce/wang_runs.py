@@ -31,6 +31,7 @@ from skidsteer.terramechanics.terrain import TERRAINS, Terrain
 ROBOT = wang_robot()
 VEHICLE = ROBOT.vehicle
 TILES = TERRAINS["tiles"]
+SEED, SEED_EXAMPLE = 2015, 48  # of the scanner's noise in the runs, on the example path
 COUNT = 2.0 * np.pi * VEHICLE.wheel_radius / 8192.0  # [m] rolled for one count of an encoder, section 3.2
 PLATE = Plate(0.290, side="left")  # of the robot the scanner stands
 SCANNER = replace(SCANNERS["lms400"], rate=90.0)
@@ -109,17 +110,16 @@ class Runs:
         return fit_coefficient(ratios, [float(self.of(ratio).mean()) for ratio in ratios])
 
 
-def runs(protocol: ArrayLike | None = None, terrain: Terrain = TILES, seed: int = 2015) -> Runs:
+def runs(protocol: ArrayLike | None = None, terrain: Terrain = TILES) -> Runs:
     """Drive the runs.
 
     Args:
         protocol: rows (n, 4) as `wang_protocol` gives them; None: those that the robot can drive, 37 of 40.
         terrain: the laboratory's floor.
-        seed: of the scanner's noise.
     """
     rows = wang_protocol(VEHICLE.max_wheel_speed) if protocol is None else np.asarray(protocol, dtype=float)
-    scale = _scale(terrain, seed)
-    chi = [_chi(row, scale, terrain, seed + 1 + i) for i, row in enumerate(rows)]
+    scale = _scale(terrain, SEED)
+    chi = [_chi(row, scale, terrain, SEED + 1 + i) for i, row in enumerate(rows)]
     steady = steady_turn(ROBOT, terrain, rows[:, 2], rows[:, 3]).icr_coefficient
     return Runs(rows[:, 0], rows[:, 1], np.array(chi), steady, scale)
 
@@ -168,9 +168,9 @@ class Reckonings:
         return np.asarray(self.by_model[model] - self.seen)
 
 
-def reckonings(found: Runs, terrain: Terrain = TILES, seed: int = 48) -> Reckonings:
+def reckonings(found: Runs) -> Reckonings:
     """Drive the path of Eq. (48) and reckon it by chi = 1.5, Eq. (46), and by the fitted curve, Eq. (47)."""
-    seen = watch(EXAMPLE, np.ones(len(EXAMPLE)), terrain, seed)
+    seen = watch(EXAMPLE, np.ones(len(EXAMPLE)), TILES, SEED_EXAMPLE)
     models: dict[str, Model] = {
         "P3-AT": SymmetricIcr(FACTORY_Y, found.scale),
         "proposed": found.fit().model(VEHICLE, found.scale),
