@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from control_loop import CENTRED, PLANT
-from skidsteer.control import SaturationSpeed, Wheels, icr_x_at, path_curvature
+from skidsteer.control import SaturationSpeed, Wheels, icr_x_at
 from skidsteer.control.speed import CLOSE
 from skidsteer.models import Curvature, Icr, Model, ScheduledIcr
 
@@ -17,21 +17,6 @@ LIMIT = 1.5
 icrs = st.builds(
     Icr, st.floats(0.2, 0.9), st.floats(-0.9, -0.2), st.floats(-0.4, 0.4), st.floats(0.7, 1.2), st.floats(0.7, 1.2)
 )
-rims = st.floats(0.05, 3.0)
-
-
-@given(icrs, rims, rims)
-def test_the_curvature_is_equation_11(icr: Icr, left: float, right: float) -> None:
-    y_l, y_r, x, a_l, a_r = icr.theta
-    ahead, aside = a_r * y_l * right - a_l * y_r * left, -a_r * x * right + a_l * x * left
-    assert_allclose(path_curvature(icr, left, right), (a_r * right - a_l * left) / math.hypot(ahead, aside), atol=1e-12)
-
-
-def test_a_curvature_by_hand() -> None:
-    # omega = (0.93 * 2 - 0.9 * 1) / 0.9, v_x = 0.9 + 0.48 omega, v_y = -0.28 omega
-    omega = 0.96 / 0.9
-    assert_allclose(path_curvature(PLANT, 1.0, 2.0), omega / math.hypot(0.9 + 0.48 * omega, 0.28 * omega))
-    assert path_curvature(Icr(0.5, -0.5, 0.0, 1.0, 1.0), -1.0, 1.0) == math.inf
 
 
 @given(icrs, st.floats(-1.5, 1.5))

@@ -1,4 +1,4 @@
-"""Path following: controllers with one interface, and the wheel speeds they ask for."""
+"""Path following: controllers with one interface, and wheel speeds for their commands."""
 
 from skidsteer.control.huskic import Huskic, HuskicGains
 from skidsteer.control.observer import Observer
@@ -8,7 +8,7 @@ from skidsteer.control.predictive import Predictive, PredictiveGains
 from skidsteer.control.profile import Limits, SpeedProfile, speed_profile
 from skidsteer.control.pure_pursuit import PurePursuit
 from skidsteer.control.soetanto import Soetanto, SoetantoGains
-from skidsteer.control.speed import SaturationSpeed, Wheels, icr_x_at, path_curvature
+from skidsteer.control.speed import SaturationSpeed, Wheels, icr_x_at
 
 __all__ = [
     "Command",
@@ -30,7 +30,6 @@ __all__ = [
     "SpeedProfile",
     "Wheels",
     "icr_x_at",
-    "path_curvature",
     "path_error",
     "speed_profile",
 ]

@@ -6,9 +6,9 @@ the law below dV1/dt = -k1 x_e^2 - k2 e^2 / lambda. With T = sign(e) / cos(e)
 
     omega = delta' + c s' - T (lambda y_e (v sin(theta_e) - icr_x omega cos(theta_e)) + k2 e^2)
 
-omega stands on both sides and the equation is linear in it: it is solved. Two things remain as published: close to
-the path e decays like 1 / t only, the damping being quadratic; and on curves the law has an offset where icr_x is not
-0, unless ``feed_forward`` adds the heading of steady motion to delta.
+omega appears on both sides; the equation is linear in it and is solved. Two things remain as published: close to the
+path e decays like 1 / t only, since the damping is quadratic; and on curves the law has an offset where icr_x is not 0,
+unless ``feed_forward`` adds the heading of steady motion to delta.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from skidsteer.control.path_state import (
 from skidsteer.control.speed import SaturationSpeed
 from skidsteer.control.target import Approach, advanced, rate, turn_with_target
 
-STEADY = math.radians(45.0)  # |e| up to which it drives as fast as it may
-FACING = math.radians(75.0)  # |e| beyond which it stands and turns: Eq. (10) divides by cos(e)
-LOOP = 0.25  # least coefficient of omega for which Eq. (10) is solved
+STEADY = math.radians(45.0)  # |e| up to which the speed is not reduced
+FACING = math.radians(75.0)  # |e| beyond which it turns on the spot: Eq. (10) divides by cos(e)
+LOOP = 0.25  # least coefficient of omega with which Eq. (10) is solved
 
 
 @dataclass(frozen=True, slots=True)
 class HuskicGains:
     """Gains of Eq. (10)."""
 
-    k1: float  # [1/s] how fast the target comes to the robot
+    k1: float  # [1/s] rate at which the target approaches the robot
     k2: float  # [1/s] damping of e^2
     lam: float  # [1/m^2] lambda, weight of y_e against e
-    theta_a: float = math.pi / 4.0  # [rad] steepest approach
+    theta_a: float = math.pi / 4.0  # [rad] largest approach angle
     omega_max: float = math.inf  # [rad/s]
 
     def __post_init__(self) -> None:
@@ -65,9 +65,9 @@ class Huskic:
     gains: HuskicGains
     speed: SaturationSpeed
     icr_x: float = 0.0  # [m] ahead of the origin, see ``speed.icr_x_at``
-    feed_forward: bool = False  # head as steady motion on the curve needs: no offset where icr_x is not 0
-    measured_omega: bool = False  # on the right-hand side, as the authors do, instead of solving for omega
-    approach_length: float = 1.0  # [m] of delta
+    feed_forward: bool = False  # add the heading of steady motion on a curve to delta
+    measured_omega: bool = False  # on the right-hand side, as in the authors' code, instead of solving
+    approach_length: float = 1.0  # [m] see ``Approach``
     deceleration: float = 0.5  # [m/s^2] at the end of the path
 
     def __post_init__(self) -> None:
@@ -76,7 +76,7 @@ class Huskic:
     begin = staticmethod(PathState.begin)  # see ``Controller``
 
     def command(self, pose: ArrayLike, twist: ArrayLike, state: PathState) -> Command:
-        """See ``Controller``. Beyond 75 deg of e it stands and turns towards the path; it slows down from 45 deg on."""
+        """See ``Controller``. Beyond |e| = 45 deg it slows down, beyond 75 deg it turns on the spot."""
         error, (_, _, turning) = path_error(state, pose), finite("twist", twist)
         if state.arrived:
             return 0.0, 0.0
@@ -88,11 +88,11 @@ class Huskic:
     def advance(
         self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
-        """See ``Controller``; what was commanded does not matter to this law."""
+        """See ``Controller``; this law does not use the command."""
         return advanced(state, pose, twist, dt, self.icr_x, self.gains.k1)
 
     def lyapunov(self, pose: ArrayLike, state: PathState) -> float:
-        """V1 [m^2], which falls along the law."""
+        """V1 [m^2], which decreases along the law."""
         error = path_error(state, pose)
         return self._v1(error, self._deviation(error, state.direction * self.icr_x)[0], 1.0)
 
@@ -120,7 +120,7 @@ class Huskic:
     def _turn(self, error: PathError, v: float, icr_x: float, turning: float) -> float:
         """Omega [rad/s] of Eq. (10)."""
         gains, (e, by_y, by_s) = self.gains, self._deviation(error, icr_x)
-        # T, the guarded |sin e| / (sin e cos e): no side to turn to at e = 0, none beyond its domain but back
+        # T, the guarded |sin e| / (sin e cos e): 0 at e = 0, bounded beyond the domain of the law
         T = math.copysign(1.0 / max(math.cos(e), math.cos(FACING)), e) if e else 0.0
         lateral = gains.lam * error.y_e
         back = -T * (lateral * v * math.sin(error.theta_e) + gains.k2 * e**2)

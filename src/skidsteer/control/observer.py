@@ -1,19 +1,20 @@
-"""Where a robot is now and how it slips, from poses that come late, a gyro and what was asked for.
+"""Where a robot is now and how it slips, from late poses, a gyro and the commands.
 
-The ICR model with what it leaves out at speed, and one state for each thing that is not known before. Rims stand for a
-speed v and a yaw rate r of the ICR model; they follow what is asked for with a lag. The body drives with
+The ICR model, extended by what it leaves out at speed, with a state for each unknown. By the ICR model the rims stand
+for a speed v and a yaw rate r, which follow the command with a lag. The body moves with
 
     speed      = (scale + loss |c|) v                        c = omega / speed
     k          = compliance + give |c|
     side'      = -(side + (icr_x + k speed^2) omega) / (k speed)
     omega'     = (gain r + drift - (1 - ease |side / speed|) omega) / (compliance speed)
 
-Tyres and soft ground give way sideways in proportion to the lateral acceleration, which puts the ICR ahead by k speed^2
-and lets the body follow within k speed: the side slip of ``models.ScheduledIcr``, in time. The sharper the turn, the
-more they give way (``give``) and the more of the way is lost (``loss``). The farther it slips, the less the ground
-resists turning (``ease``): it oversteers. At low speed all of it is the ICR model.
+where ``side`` is the velocity of the origin to the left. Tyres and soft ground yield sideways in proportion to the
+lateral acceleration. That moves the ICR ahead by k speed^2 and lets the body follow with the time constant k speed: the
+side slip of ``models.ScheduledIcr``, in time. The sharper the turn, the more they yield (``give``) and the more speed
+is lost (``loss``). The larger the slip angle, the less the ground resists turning (``ease``): the robot oversteers. At
+low speed the ICR model is left.
 
-States of the slip wander, and in time come back to what the calibration says. Everything is seen in the direction of
+The states of the slip wander, and return in time to what the calibration says. Everything is seen in the direction of
 driving.
 """
 
@@ -32,32 +33,32 @@ from skidsteer.se2 import FloatArray
 
 Triple = tuple[float, float, float]
 
-MEMORY = 20.0  # [s] within which the slip comes back to what is usual
-JUMP = 8.0  # sigmas of a pose from which on the map has leapt
-STIFFEST = 0.01  # [s^2/m] compliance to begin with, where the model tells none
-USUAL_EASE = 0.7  # of a robot that is not known yet
-# what is not known at the beginning, and how much of it a second adds, at an agility of 1
+MEMORY = 20.0  # [s] time constant with which the slip returns to the usual one
+JUMP = 8.0  # sigmas of a pose beyond which the map has leapt
+STIFFEST = 0.01  # [s^2/m] initial compliance where the model has none
+USUAL_EASE = 0.7  # initial, of any robot
+# initial standard deviations, and what a second adds to them at an agility of 1
 FIRST_SLIP = np.array([0.05, 0.05, 0.1, 0.01, 0.1, 0.05, 0.1])  # side, scale, loss, turn, icr_x, compliance, give
 WANDER_SLIP = np.array([0.035, 0.05, 0.055, 0.002, 0.03, 0.0135, 0.033])
 FIRST_TURN = np.array([0.01, 0.1, 0.1, 0.3])  # omega, gain, drift, ease
 WANDER_TURN = np.array([0.28, 0.06, 0.066, 0.17])
-WANDER_POSE = 1e-3  # [m], [rad] in a second
+WANDER_POSE = 1e-3  # [m], [rad] that a second adds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """What is believed. Arrays are not written to."""
+    """The estimate. Arrays are not written to."""
 
-    now: FloatArray  # (10,) state rolled forward to now, see ``kernels.slip``
+    now: FloatArray  # (10,) state predicted to now, see ``kernels.slip``
     turn: FloatArray  # (4,) yaw rate, gain, drift, ease
-    rims: float  # [rad/s] yaw rate that the rims stand for
-    speed: float  # [m/s] that the rims stand for
+    rims: float  # [rad/s] yaw rate of the lagged rims by the ICR model
+    speed: float  # [m/s] of the rims by the ICR model
     omega: float  # [rad/s] as measured
     late: FloatArray  # (10,) state when the last pose was taken
     late_covariance: FloatArray  # (10, 10)
     turn_covariance: FloatArray  # (4, 4)
     steps: FloatArray  # (n, 3) since then: dt, speed and yaw rate as measured
-    usual: FloatArray  # (10,) slip as the calibration says
+    usual: FloatArray  # (10,) state to which the slip returns: that of the calibration
 
     @property
     def pose(self) -> Triple:
@@ -79,7 +80,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """What is known of sensors and wheels.
+    """Properties of sensors and wheels, and the filters with them.
 
     Raises:
         ValueError: a lag or delay below 0, or a sigma or agility that is not above 0.
@@ -99,7 +100,7 @@ class Observer:
                 raise ValueError(f"need a finite {name} of at least 0 s, got {getattr(self, name)}")
 
     def begin(self, pose: Triple, icr_x: float, compliance: float) -> Estimate:
-        """A robot that stands at a pose and slips as its calibration says: icr_x [m] at low speed, k [s^2/m]."""
+        """The estimate of a robot at rest that slips as its calibration says: icr_x [m] at low speed, k [s^2/m]."""
         late = np.array([*pose, 0.0, 1.0, 0.0, 1.0, icr_x, max(compliance, STIFFEST), 0.0])
         sigma = np.concatenate([self._pose_sigma, FIRST_SLIP])
         turn = np.array([0.0, 1.0, 0.0, USUAL_EASE])
@@ -109,15 +110,15 @@ class Observer:
     def advance(
         self, before: Estimate, pose: Triple | None, speed: float, omega: float, dt: float, asked: float
     ) -> Estimate:
-        """After a step.
+        """The estimate after a step.
 
         Args:
-            before: it.
-            pose: told after it, of ``delay`` ago; None: none came.
-            speed: [m/s] told after it.
-            omega: [rad/s] told after it.
-            dt: [s] that it took.
-            asked: [rad/s] yaw rate that was asked for in it.
+            before: the estimate before it.
+            pose: received after it, ``delay`` old; None: none came.
+            speed: [m/s] of the rims after it.
+            omega: [rad/s] measured after it.
+            dt: [s] duration.
+            asked: [rad/s] yaw rate commanded in it.
         """
         step = (dt, 0.5 * (before.speed + speed), 0.5 * (before.omega + omega))
         steps = np.append(before.steps, [step], axis=0)

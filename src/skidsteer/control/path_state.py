@@ -1,8 +1,7 @@
-"""What every controller shares: where it is on its path, the errors there, and the two functions that drive it on.
+"""What all controllers share: the place on the path, the errors there, and the interface.
 
-A path in reverse is driven with the rear ahead. Seen from the rear the robot is one that drives forward: its speed has
-the other sign, icr_x lies on the other side, the yaw rate stays. The laws are written for that robot, so that driving
-in reverse is the mirror of driving ahead.
+A path in reverse is driven with the rear ahead. Seen from the rear the robot drives forward: its speed and icr_x change
+sign, its yaw rate does not. The laws are written for that view, so that driving in reverse mirrors driving ahead.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from numpy.typing import ArrayLike
 from skidsteer.errors import DataError
 from skidsteer.paths import Path
 
-ARRIVED = 0.01  # [m] before the end of an open path, where driving ends
-CROWDED = 0.2  # least 1 - c y_e: nearer to the centre of curvature the laws take it for this
-BRANCHES = 0.2  # [m] by which one branch of a path may be nearer than another where a robot begins on either
-STEEPEST = 0.95  # greatest icr_x c: a robot whose ICR lies as far ahead as the path's radius cannot stay on it
+ARRIVED = 0.01  # [m] from the end of an open path, where driving stops
+CROWDED = 0.2  # lower bound of 1 - c y_e, which vanishes at the centre of curvature
+BRANCHES = 0.2  # [m] difference in distance up to which the heading decides between branches of a path
+STEEPEST = 0.95  # upper bound of icr_x c: at 1 the ICR lies ahead by the radius of the path, and no heading follows it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +31,7 @@ class PathState:
 
     @classmethod
     def begin(cls, path: Path, pose: ArrayLike) -> PathState:
-        """At the point of the path nearest to a pose (3,); where the path crosses itself, on the branch it heads along.
+        """At the point nearest to a pose (3,); where the path crosses itself, on the branch along which it heads.
 
         Raises:
             DataError: a pose that is not finite.
@@ -75,7 +74,7 @@ State = TypeVar("State", bound=PathState)  # of a controller: a PathState, or on
 
 
 class Controller(Protocol[State]):
-    """A controller: its options are its fields, where it is on the path is in the state. Every function is pure."""
+    """A controller: its options are its fields, its place on the path is in the state. Every function is pure."""
 
     def begin(self, path: Path, pose: ArrayLike) -> State:
         """The state of a robot that stands at a pose (3,), before its first command.
@@ -85,7 +84,7 @@ class Controller(Protocol[State]):
         """
 
     def command(self, pose: ArrayLike, twist: ArrayLike, state: State) -> Command:
-        """What to drive now.
+        """The command.
 
         Args:
             pose: (3,) x, y [m], yaw [rad] of base_link in the frame of the path.
@@ -109,8 +108,8 @@ class Controller(Protocol[State]):
             pose: (3,) measured after it.
             twist: (3,) measured after it.
             dt: [s] that it took.
-            commanded: v [m/s], omega [rad/s] that were sent for it, after whatever slowed them within wheel limits.
-            reckoned: no pose was measured since; this is where twists brought the last one.
+            commanded: v [m/s], omega [rad/s] that were sent for it, within the limits of the wheels.
+            reckoned: the pose was not measured, but predicted from the last one by twists.
 
         Raises:
             DataError: a pose, twist or dt that is not finite, or a dt below 0.
@@ -118,7 +117,7 @@ class Controller(Protocol[State]):
 
 
 def nearest_branch(path: Path, pose: tuple[float, float, float]) -> float:
-    """Arc length [m] of the nearest point; of branches within ``BRANCHES`` of it, on one that the robot heads along."""
+    """Arc length [m] of the nearest point; among branches within ``BRANCHES``, on one along which the robot heads."""
     s = np.linspace(0.0, path.length, math.ceil(path.length / BRANCHES) + 1)
     errors = path.error(pose, s)
     far = np.hypot(errors[:, 0], errors[:, 1])
@@ -147,7 +146,7 @@ def wrapped(angle: float) -> float:
 
 
 def finite(name: str, values: ArrayLike) -> tuple[float, float, float]:
-    """Three numbers of a pose or twist.
+    """Pose or twist as three floats.
 
     Raises:
         DataError: they are not three finite numbers.

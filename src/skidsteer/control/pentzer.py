@@ -1,11 +1,11 @@
-"""PBR: Pentzer, Brennan, Reichard 2014, the path following of a unicycle by Canudas de Wit et al. at the ICR.
+"""PBR: Pentzer, Brennan, Reichard 2014: the path following of a unicycle by Canudas de Wit et al., at the ICR.
 
-The point at icr_x ahead of the origin moves like a unicycle. Its errors steer,
+The point at icr_x ahead of the origin moves like a unicycle. It is steered by its errors,
 
     omega = -k1 v y_e sin(theta_e) / theta_e - k2 |v| theta_e
 
-with robot and path shifted by the ICR: y_e + icr_x sin(theta_e) takes the place of y_e. As published there is no
-curvature in it: a curve is followed with the offset of about -c / k1 that turns the robot, and k2 icr_x c / k1 more.
+with y_e + icr_x sin(theta_e) in place of y_e, since robot and path are shifted by the ICR. As published the law has no
+curvature in it: on a curve it needs an offset of about -c / k1 to turn the robot, and k2 icr_x c / k1 more.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Pentzer:
     gains: PentzerGains
     desired: float  # [m/s]
     icr_x: float = 0.0  # [m] ahead of the origin, see ``speed.icr_x_at``
-    feed_forward: bool = False  # turn as the path does, and head as steady motion along it needs
+    feed_forward: bool = False  # add the curvature of the path and the heading of steady motion
     deceleration: float = 0.5  # [m/s^2] at the end of the path
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ class Pentzer:
     def advance(
         self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
-        """See ``Controller``; what was commanded does not matter to this law."""
+        """See ``Controller``; this law does not use the command."""
         return state.projected(pose, twist, dt)
 
     def _turn(self, error: PathError, v: float, icr_x: float) -> float:

@@ -1,21 +1,20 @@
-"""Ours: follow a path by a plan over the next second, made anew in each step (model predictive control).
+"""Model predictive control of our own: in each step a plan over about the next second.
 
-An ``Observer`` tells where the robot is now, although its pose comes late, and how it slips. A ``SpeedProfile`` tells
-how fast to drive. The plan is the yaw rates over the horizon that, by the same equations of motion, with the lag of the
-rims and within the wheels' limits, make small
+An ``Observer`` estimates the present pose, although poses come late, and the slip. A ``SpeedProfile`` gives the speed.
+The plan is the sequence of yaw rates that, by the equations of motion of the observer, with the lag of the rims and
+within the limits of the wheels, minimises
 
-    integral of  y_e^2 + reach^2 sin^2(course) + effort (rate of the yaw rate asked for - that of the path)^2
+    integral of  y_e^2 + reach^2 sin^2(course) + effort (derivative of the commanded yaw rate - that of the path)^2
 
-(``kernels.horizon``). The course is the direction in which the origin moves against the tangent, not that in which the
-robot looks: curves have no offset. Beyond a knee the offset counts in proportion, so that far from the path the robot
-comes nearer at theta_a. Facing away from the path it stands and turns, as Huskić's does.
+(``kernels.horizon``). The course is the direction in which the origin moves relative to the tangent, not that in which
+the robot faces: curves have no offset. Beyond a knee the offset counts linearly, so that far from the path the robot
+approaches it at theta_a. Facing away from the path it turns on the spot, as Huskić's law does.
 
-The profile does not know the grip. Where a plan slips, in its first part, by more at speed than the equations tell of
-(``stage.STEEPEST``), the robot is asked to slow down, and to speed up again once it does not: where it drifts on the
-edge of its grip, noise is enough to throw it off the path.
+The profile does not know the grip. While the first part of a plan slips by more at speed than the equations describe
+(``stage.STEEPEST``), the robot slows down: at the limit of its grip noise is enough to throw it off the path.
 
-A plan is a simulated drive and no worse than the rest of the one before, so that a search that is not at its end does
-no harm. Where its cost is not finite the robot drives on with the rest of the plan before and brakes.
+A plan is a simulated drive and no worse than the rest of the previous one, so that a search that has not converged does
+no harm. Where its cost is not finite the robot drives the rest of the previous plan and brakes.
 """
 
 from __future__ import annotations
@@ -37,27 +36,27 @@ from skidsteer.paths import Path
 from skidsteer.se2 import FloatArray
 
 APPROACH = 1.0  # [m] from the path at which the heading that leads back to it is 76 % of theta_a
-FACING, FACED = math.radians(75.0), math.radians(20.0)  # off that heading: stands and turns, until it is so near
-BEHIND = math.radians(150.0)  # off it, beyond which it goes on turning to the side to which it turns already
-SPIN = 1.5  # [rad/s] at most, of turning on the spot
+FACING, FACED = math.radians(75.0), math.radians(20.0)  # off that heading: turns on the spot, until it is so near
+BEHIND = math.radians(150.0)  # off it, beyond which it keeps the side to which it already turns
+SPIN = 1.5  # [rad/s] at most on the spot
 SLOW = 0.1  # [m/s] at which the calibration's icr_x is that of low speed
-BEND = 0.2  # [1/m] curvature at which rim speeds by yaw rate are told
+BEND = 0.2  # [1/m] curvature at which the rim speeds are linearised
 END = 0.5  # [s] of cost that the last row stands for
 STAGES = 60  # of a plan, at most
-WAY = 3.0  # least horizon, over reach and icr_x: a robot that turns moves its origin to the wrong side first
-NEAR = 0.5  # share of a plan that must keep its grip: its last stages are never driven
-LEAST_PACE, RECOVERY = 0.3, 0.5  # share of the profile at least; of the acceleration, to come back to it
-ITERATIONS, TOLERANCE = 4, 1e-4  # of the search; share of the cost that one must promise to save
+WAY = 3.0  # least length of a plan over reach and icr_x: turning moves the origin to the wrong side first
+NEAR = 0.5  # share of a plan whose slip counts: its last stages are never driven
+LEAST_PACE, RECOVERY = 0.3, 0.5  # least share of the profile; share of the acceleration with which it returns to it
+ITERATIONS, TOLERANCE = 4, 1e-4  # of the search; share of the cost that a further one must promise to save
 
 
 @dataclass(frozen=True, slots=True)
 class PredictiveGains:
-    """What is to be weighed."""
+    """Weights of the cost."""
 
-    reach: float = 0.28  # [m] of way in which an offset is taken back
-    effort: float = 4.5e-5  # [m^2 s^4] of changing the yaw rate otherwise than the path does
+    reach: float = 0.28  # [m] distance over which an offset is corrected
+    effort: float = 4.5e-5  # [m^2 s^4] weight of changing the yaw rate otherwise than the path does
     agility: float = 1.0  # how fast the slip may change, see ``Observer``
-    theta_a: float = math.pi / 4.0  # [rad] steepest approach
+    theta_a: float = math.pi / 4.0  # [rad] largest approach angle
 
     def __post_init__(self) -> None:
         require_positive(self, "reach", "effort", "agility", "theta_a")
@@ -67,17 +66,17 @@ class PredictiveGains:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictiveState(PathState):
-    """Where on the path it is now, what is known of the robot, and the plan."""
+    """Place on the path, estimate of the robot, and the plan."""
 
     estimate: Estimate
     profile: SpeedProfile
-    rims: FloatArray  # (2, 2) rim speeds of a m/s and of a rad/s, in the direction of driving
+    rims: FloatArray  # (2, 2) rim speeds for 1 m/s and for 1 rad/s, in the direction of driving
     stage: float  # [s] of the plan
-    asked: Command  # last speed [m/s], in the direction of driving, and yaw rate [rad/s]
-    plan: FloatArray  # (n,) [rad/s^2] rates of the yaw rate asked for
-    next: Command  # to ask for now
+    asked: Command  # last command: speed [m/s] in the direction of driving, yaw rate [rad/s]
+    plan: FloatArray  # (n,) [rad/s^2] derivative of the commanded yaw rate
+    next: Command  # the present one
     turning: bool  # on the spot
-    iterations: int  # that the plan took; -1: it is the rest of the one before
+    iterations: int  # of the search; -1: the plan is the rest of the previous one
     pace: float = 1.0  # share of the profile that is driven
 
 
@@ -85,11 +84,11 @@ class PredictiveState(PathState):
 class Predictive:
     """Path following by prediction. A twist's v_x is that of the rims by the model of ``wheels``, its omega a gyro's.
 
-    ``wheels`` had better hold a constant ICR, ``ScheduledIcr.constant`` of a scheduled one: plan and observer take rims
-    as linear in v and omega, and chase what a scheduled one changes with speed and curvature as if the ground changed.
-    What a calibration knows of the slip at speed is ``scheduled``.
+    ``wheels`` should hold a constant ICR (``ScheduledIcr.constant`` of a scheduled one): plan and observer take rims
+    as linear in v and omega, and would mistake the changes of a scheduled model with speed for changes of the ground.
+    What a calibration knows of the slip at speed goes into ``scheduled``.
 
-    Pose and twist are taken in by ``begin`` and ``advance``; ``command`` tells what they planned.
+    ``begin`` and ``advance`` take in pose and twist and plan; ``command`` returns what they planned.
     """
 
     gains: PredictiveGains
@@ -97,8 +96,8 @@ class Predictive:
     limits: Limits
     observer: Observer
     period: float = 0.02  # [s] from command to command
-    scheduled: Model | None = None  # tells the slip to begin with; None: the model of the wheels
-    horizon: float = 1.2  # [s] at least; longer where it drives so slowly that it would not come ``WAY`` far
+    scheduled: Model | None = None  # initial slip; None: by the model of the wheels
+    horizon: float = 1.2  # [s] at least; longer at low speed, see ``WAY``
 
     def __post_init__(self) -> None:
         require_positive(self, "period", "horizon")
@@ -110,7 +109,7 @@ class Predictive:
 
         Raises:
             DataError: a pose that is not finite.
-            RequestError: a model that tells no rim speeds or no ICR at the speed of the profile.
+            RequestError: a model without rim speeds or ICR at the speed of the profile.
         """
         start, profile = PathState.begin(path, pose), speed_profile(path, self.wheels, self.limits)
         speed, ahead = float(profile.speeds.max()), start.direction
@@ -154,7 +153,7 @@ class Predictive:
         commanded: Command,
         reckoned: bool = False,
     ) -> PredictiveState:
-        """See ``Controller``. A pose that was reckoned tells nothing: the observer reckons with the slip."""
+        """See ``Controller``. A reckoned pose is ignored: the observer predicts with the slip."""
         at, (v, _, omega) = finite("pose", pose), finite("twist", twist)
         if elapsed(dt) == 0.0:
             return state
@@ -189,7 +188,7 @@ class Predictive:
         return replace(state, plan=plan, next=ask, turning=False, iterations=iterations, pace=pace)
 
     def _pace(self, state: PredictiveState, rows: FloatArray) -> float:
-        """Share of the profile to drive at, after a plan of these rows; what slips at any speed does not count."""
+        """Share of the profile after a plan of these rows; slip that a turn has at any speed does not count."""
         near = rows[: 1 + math.ceil(NEAR * len(state.plan))]
         beyond = near[:, stage.SIDE] + state.estimate.now[slip.ICR_X] * near[:, stage.OMEGA]
         slips = np.abs(beyond) / np.maximum(near[:, stage.SPEED], stage.SLOWEST)
@@ -211,7 +210,7 @@ class Predictive:
         return replace(state, plan=np.zeros_like(state.plan), next=ask, turning=True, iterations=0)
 
     def _braked(self, state: PredictiveState) -> PredictiveState:
-        """With the rest of the plan before, ever slower."""
+        """The rest of the previous plan, ever slower."""
         v, omega = state.asked
         slower = max(v - self.limits.acceleration * self.period, 0.0)
         share = slower / v if v > 0.0 else 0.0
@@ -235,7 +234,7 @@ class Predictive:
 
     def _weights(self, state: PredictiveState) -> FloatArray:
         gains = self.gains
-        # far off, where the offset counts as 2 knee |y_e|: a course of theta_a pays for itself over the horizon
+        # far off the offset counts as 2 knee |y_e|; the knee is such that a course of theta_a pays over the horizon
         lasting = len(state.plan) * state.stage + END
         speed = float(state.profile.speeds.max())
         knee = gains.reach**2 * math.sin(gains.theta_a) / (speed * lasting)

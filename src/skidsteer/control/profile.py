@@ -1,4 +1,4 @@
-"""How fast a path can be driven, told before the drive: rim speeds and accelerations, lateral acceleration, the end."""
+"""The fastest speeds along a path within limits of rim speeds and accelerations."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from skidsteer.se2 import FloatArray
 
 STEP = 0.1  # [m] between the points of a profile
 JUST = 1e-6  # [m] before and behind them, where the curvature may jump
-RESERVE = 0.7  # share of the rims' acceleration that following the path exactly may take
-HEADROOM = 0.95  # share of their speed
+RESERVE = 0.7  # share of the rims' acceleration that the profile uses; the rest is for control
+HEADROOM = 0.95  # the same, of their speed
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What may not be exceeded."""
+    """Upper limits."""
 
     speed: float  # [m/s] along the path
     acceleration: float = 1.0  # [m/s^2] along the path, to speed up and to slow down
@@ -51,10 +51,10 @@ class SpeedProfile:
 
 
 def rims_by_speed(wheels: Wheels, speed: float, curvature: ArrayLike) -> FloatArray:
-    """Rim speeds (..., 2) for each m/s of a drive at a speed [m/s] (negative in reverse) and curvatures (...) [1/m].
+    """Rim speeds (..., 2) per m/s at a speed [m/s] (negative in reverse) and curvatures (...) [1/m].
 
     Raises:
-        RequestError: a model that tells none.
+        RequestError: the model has none.
     """
     curvature = np.asarray(curvature, dtype=float)
     rims = wheels.model.wheel_speeds(speed, abs(speed) * curvature) / abs(speed)
@@ -66,10 +66,10 @@ def rims_by_speed(wheels: Wheels, speed: float, curvature: ArrayLike) -> FloatAr
 def speed_profile(path: Path, wheels: Wheels, limits: Limits) -> SpeedProfile:
     """The fastest drive along a path within limits.
 
-    The rims follow the path's curvature, whatever the robot slips; where that jumps they take about ``STEP`` to change.
+    The rims follow the curvature of the path; where it jumps they take about ``STEP`` to change.
 
     Raises:
-        RequestError: a model that tells no rim speeds.
+        RequestError: the model has no rim speeds.
     """
     m = max(2, math.ceil(path.length / STEP))
     s, ds = np.linspace(0.0, path.length, m + 1), path.length / m

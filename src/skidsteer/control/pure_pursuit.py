@@ -3,9 +3,9 @@
 The robot drives the arc that leads to a point of the path ahead, curvature 2 y / L^2. Names, units and defaults of the
 options are Nav2's; its regulation by obstacles, which needs a costmap, is left out. It knows nothing of icr_x.
 
-A fixed point ahead is reached on one circle, of radius L / (2 sin a) where it is seen at an angle a. So a robot before
-its path that faces away makes a wide turn, 26 m for a point at 0.9 m and 179 deg, and never comes where it faces away
-to the last bit: not without ``use_rotate_to_heading``, which Nav2 has by default and ``adaptive`` and ``plain`` do not.
+A fixed point is reached on one circle, of radius L / (2 sin a) where it is seen at an angle a. A robot that faces away
+from its path therefore makes a wide turn, of radius 26 m for a point at 0.9 m and 179 deg, and none at exactly 180 deg,
+unless it may rotate on the spot: ``use_rotate_to_heading``, on by default, off in ``adaptive`` and ``plain``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from skidsteer.control.path_state import Command, PathState, finite, require_positive
 from skidsteer.kernels import paths as kernels
 
-STEPS = 20  # of the lookahead distance, along the path, where its end is looked for
+STEPS = 20  # per lookahead distance, in the search along the path
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class PurePursuit:
     def advance(
         self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
-        """See ``Controller``; what was commanded does not matter to this law."""
+        """See ``Controller``; this law does not use the command."""
         return state.projected(pose, twist, dt)
 
     def lookahead(self, v_x: float) -> float:
@@ -120,8 +120,7 @@ PRESETS = {
 def lookahead_point(state: PathState, pose: tuple[float, float, float], distance: float) -> tuple[float, float]:
     """First point of the path, from the state on, that is a distance [m] away from the robot.
 
-    Where the path begins farther away it is the nearest point, where none is so far away the last one looked at: the
-    end of the path.
+    Where the path begins farther away it is the nearest point; where no point is so far away, the end of the path.
 
     Returns:
         x ahead and y to the left [m], seen in the direction of driving.

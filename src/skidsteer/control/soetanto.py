@@ -1,8 +1,8 @@
 """SLPINL: Soetanto, Lapierre, Pascoal 2003, with the speed of Indiveri, Nüchter, Lingemann 2007.
 
-The rival of Huskić 2017: a unicycle, for which dV1/dt = -k1 x_e^2 - k2 e^2 / gamma + y_e v sin(delta), all of them
-below 0, with V1 = (x_e^2 + y_e^2) / 2 + e^2 / (2 gamma) and e = theta_e - delta. It does not know icr_x: where that is
-not 0 it has an offset on curves.
+What Huskić 2017 compares with. For a unicycle dV1/dt = -k1 x_e^2 - k2 e^2 / gamma + y_e v sin(delta), no term of which
+is positive, with V1 = (x_e^2 + y_e^2) / 2 + e^2 / (2 gamma) and e = theta_e - delta. The law does not know icr_x: where
+that is not 0 it has an offset on curves.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from skidsteer.control.target import Approach, advanced, rate, turn_with_target
 class SoetantoGains:
     """Gains of the law and of its speed."""
 
-    k1: float  # [1/s] how fast the target comes to the robot
-    k2: float  # [1/s] how fast the heading turns to delta
+    k1: float  # [1/s] rate at which the target approaches the robot
+    k2: float  # [1/s] rate at which the heading approaches delta
     gamma: float  # [1/m^2] weight of y_e against e
-    b: float = 0.0  # [m] how much the speed falls with the curvature
-    theta_a: float = math.pi / 4.0  # [rad] steepest approach
-    epsilon: float = 0.5  # [m^2] of V1, from which on it drives at half the speed
+    b: float = 0.0  # [m] decrease of the speed with the curvature
+    theta_a: float = math.pi / 4.0  # [rad] largest approach angle
+    epsilon: float = 0.5  # [m^2] V1 above which it drives at half the speed
 
     def __post_init__(self) -> None:
         require_positive(self, "k1", "k2", "gamma", "theta_a", "epsilon")
@@ -56,7 +56,7 @@ class Soetanto:
     gains: SoetantoGains
     desired: float  # [m/s]
     omega_max: float = math.inf  # [rad/s]
-    approach_length: float = 1.0  # [m] of delta
+    approach_length: float = 1.0  # [m] see ``Approach``
     deceleration: float = 0.5  # [m/s^2] at the end of the path
 
     def __post_init__(self) -> None:
@@ -77,11 +77,11 @@ class Soetanto:
     def advance(
         self, state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, commanded: Command, reckoned: bool = False
     ) -> PathState:
-        """See ``Controller``; what was commanded does not matter to this law."""
+        """See ``Controller``; this law does not use the command."""
         return advanced(state, pose, twist, dt, 0.0, self.gains.k1)
 
     def lyapunov(self, pose: ArrayLike, state: PathState) -> float:
-        """V1 [m^2], which falls along the law if icr_x is 0."""
+        """V1 [m^2], which decreases along the law if icr_x is 0."""
         return self._v1(path_error(state, pose))
 
     def _approach(self) -> Approach:

@@ -1,8 +1,8 @@
-"""How fast to drive: longitudinal speed of Huskić 2017, IV.C, and wheel speeds within their limits.
+"""Longitudinal speed of Huskić 2017, IV.C, and wheel speeds within their limits.
 
 Equation (17) as printed jumps with the sign of omega and where V1 crosses epsilon, and does not by itself keep the
-wheels within their limits. Here both jumps are blended over, and ``Wheels`` slows what is commanded in wheel space, so
-that no limit is exceeded and the curvature is kept.
+wheels within their limits. Here both jumps are smoothed, and ``Wheels`` scales commands in wheel space, so that no
+limit is exceeded and the curvature is kept.
 """
 
 from __future__ import annotations
@@ -11,35 +11,18 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from skidsteer.models import MatrixModel, Model
 from skidsteer.se2 import FloatArray
 
-STEPS = 50  # of the scale that brings a nonlinear model within the limit
-CLOSE = 1e-4  # of the limit, below which a nonlinear model may stay: each step costs an inverse
-BLEND = 0.1  # [rad/s] of yaw rate to either side of 0, over which the sides take turns in Eq. (17)
-PROBE = 1e-3  # [1/m] curvature at which the ICR of a nearly straight drive is told
-
-
-def path_curvature(model: Model, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:
-    """Curvature (...) [1/m] of the way of the origin, Huskić 2017, Eq. (11), for any model.
-
-    Args:
-        model: what the rims do.
-        v_left: (...) [m/s] of the left rims.
-        v_right: (...) [m/s] of the right rims; the two are not both 0.
-
-    Returns:
-        omega over speed; infinite in a turn on the spot about the origin.
-    """
-    v_x, v_y, omega = np.moveaxis(model.twist(v_left, v_right), -1, 0)
-    with np.errstate(divide="ignore"):
-        return np.asarray(omega / np.hypot(v_x, v_y))
+STEPS = 50  # at most, to bring a nonlinear model within the limit
+CLOSE = 1e-4  # share of the limit by which a nonlinear model may stay below it: each step costs an inverse
+BLEND = 0.1  # [rad/s] of yaw rate to either side of 0, over which Eq. (17) passes from one side to the other
+PROBE = 1e-3  # [1/m] curvature that stands for a straight, where an ICR is not defined
 
 
 def icr_x_at(model: Model, v: float, curvature: float = PROBE) -> float:
-    """How far [m] ahead of the origin a model's ICR lies at a speed v [m/s], v_y = -icr_x omega (Huskić 2017, Eq. (2)).
+    """Position icr_x [m] of a model's ICR at a speed v [m/s], from v_y = -icr_x omega (Huskić 2017, Eq. (2)).
 
     Raises:
         ValueError: a v or curvature [1/m] of 0.
@@ -52,7 +35,7 @@ def icr_x_at(model: Model, v: float, curvature: float = PROBE) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Wheels:
-    """A calibrated model and the rim speed that the wheels reach."""
+    """A motion model and the greatest rim speed."""
 
     model: Model
     max_speed: float  # [m/s] at the rim
@@ -74,9 +57,9 @@ class Wheels:
         return a * v + b * omega, c * v + d * omega
 
     def speeds(self, v: float, omega: float) -> FloatArray:
-        """Rim speeds (2,) [m/s], left and right, for v [m/s] and omega [rad/s], slowed alike where one is too fast.
+        """Rim speeds (2,) [m/s], left and right, for v [m/s] and omega [rad/s], scaled down where one is too fast.
 
-        No element is ever beyond ``max_speed``; the curvature omega / v is kept.
+        Neither ever exceeds ``max_speed``; the curvature omega / v is kept.
 
         Raises:
             ValueError: v or omega that are not finite.
@@ -95,13 +78,13 @@ class Wheels:
         return np.clip(self.model.wheel_speeds(scale * v, scale * omega), -self.max_speed, self.max_speed)
 
     def _within(self, rim: float) -> float:
-        """What rounding left."""
+        """Within the limit, whatever the rounding."""
         return min(max(rim, -self.max_speed), self.max_speed)
 
     def _scale(self, v: float, omega: float, guess: float) -> float:
-        """Greatest scale in [0, 1] of a command that the wheels can do; what a model cannot tell counts as too fast.
+        """Greatest scale in [0, 1] of a command within the limit; one that a model has no rim speeds for is too fast.
 
-        Rim speeds are nearly in proportion to the command; where that leads astray the bracket is halved.
+        Rim speeds are nearly proportional to the command; where that fails the bracket is halved.
         """
         low, high, scale = 0.0, 1.0, guess if guess > 0.0 else 0.5
         for _ in range(STEPS):
@@ -122,9 +105,9 @@ class Wheels:
         return float(self.model.twist(rims[0], rims[1])[0])
 
     def turning(self, omega: float) -> float:
-        """v_x [m/s] with the outer wheels at their limit and the inner ones standing, Eq. (17) for V1 >= epsilon.
+        """v_x [m/s] with the outer wheels at their limit and the inner ones at rest, Eq. (17) for V1 >= epsilon.
 
-        The sides take turns over ``BLEND`` about a yaw rate omega [rad/s] of 0.
+        Within ``BLEND`` of a yaw rate omega [rad/s] of 0 the two sides are interpolated.
         """
         right = min(max(0.5 + 0.5 * omega / BLEND, 0.0), 1.0)
         return right * self._outer[0] + (1.0 - right) * self._outer[1]
@@ -135,8 +118,8 @@ class SaturationSpeed:
     """Huskić 2017, Eq. (17), made continuous: as fast as the wheels can on the path, slower while far from it."""
 
     wheels: Wheels
-    desired: float = math.inf  # [m/s] never to be exceeded
-    epsilon: float = 0.5  # [m^2] of V1, beyond which it is far from the path
+    desired: float = math.inf  # [m/s] upper limit
+    epsilon: float = 0.5  # [m^2] V1 above which the robot is far from the path
 
     def __post_init__(self) -> None:
         if not (self.desired > 0.0 and self.epsilon > 0.0):
@@ -147,8 +130,8 @@ class SaturationSpeed:
 
         Args:
             v1: [m^2] the Lyapunov function, Eq. (8).
-            curvature: [1/m] omega / v_x that the path asks for.
-            omega: [rad/s] measured: which side is the outer one.
+            curvature: [1/m] omega / v_x on the path.
+            omega: [rad/s] measured; its sign tells the outer side.
         """
         speed, near = self.wheels.reachable(curvature), min(max(2.0 - 2.0 * v1 / self.epsilon, 0.0), 1.0)
         if near < 1.0:  # blended over the upper half of epsilon

@@ -1,6 +1,6 @@
 """The target that a Lyapunov law drives along its path: Huskić 2017, section III, after Soetanto et al. 2003.
 
-It is no projection: its arc length has a rate of its own, so that the law holds nearer to the centre of curvature, too.
+It is no projection: its arc length has its own dynamics, so that the law holds near the centre of curvature, too.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from skidsteer.control.path_state import PathError, PathState, elapsed, finite, 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """delta(y_e) = steady - theta_a tanh(y_e / length): the heading error with which to come nearer to the path.
+    """delta(y_e) = steady - theta_a tanh(y_e / length): the heading error with which to approach the path.
 
-    The laws are written for the direction of driving, which is where the sign of v in delta(y_e, v) has gone.
+    Since the laws are written for the direction of driving, the sign of v in delta(y_e, v) is not needed.
     """
 
     theta_a: float  # [rad] far from the path
@@ -33,14 +33,14 @@ class Approach:
 
 
 def rate(error: PathError, v: float, icr_x: float, omega: float, k1: float) -> float:
-    """Speed [m/s] of the target, Huskić 2017, Eq. (10); it never goes back."""
+    """Speed [m/s] of the target, Huskić 2017, Eq. (10); never negative."""
     return max(0.0, v * math.cos(error.theta_e) + icr_x * omega * math.sin(error.theta_e) + k1 * error.x_e)
 
 
 def turn_with_target(
     error: PathError, v: float, icr_x: float, k1: float, by_y: float, by_s: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Yaw rate delta' + c s' that keeps theta_e - delta: a + b omega, for a target that moves and one that stands.
+    """Yaw rate delta' + c s' = a + b omega that keeps theta_e - delta, for a moving target and for one at rest.
 
     Args:
         error: in the frame of the target.
@@ -63,8 +63,8 @@ def turn_with_target(
 def advanced(state: PathState, pose: ArrayLike, twist: ArrayLike, dt: float, icr_x: float, k1: float) -> PathState:
     """The target dt [s] later, and the robot at a pose with a twist, both (3,), that brought it there.
 
-    What the robot gained in the step is taken off x_e, which Eq. (10) reads where the step begins. What is left decays
-    by exp(-k1 dt), as x_e' = -k1 x_e does, so that no step is too long.
+    Eq. (10) takes x_e at the beginning of the step: the advance of the robot in the step is subtracted first. The rest
+    decays by exp(-k1 dt), as x_e' = -k1 x_e does, whatever the length of the step.
 
     Raises:
         DataError: a pose, twist or dt that is not finite, or a dt below 0.
