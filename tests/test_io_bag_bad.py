@@ -46,7 +46,7 @@ def refusal(path: Path) -> str:
         ("a.mcap", b"SQLite format 3\0" + bytes(99), "is a rosbag2 sqlite3 file; rename it to a.db3"),
         ("a.db3", b"SQLite format 3\0" + b"\xff" * 99, "it is damaged"),
         ("a.csv", b"t,x\n", "is no bag; bags are named .bag, .db3, .mcap"),
-        ("a.bag", b"#ROSBAG V1.2\n", "is not a rosbag1 file but a text file"),
+        ("a.bag", b"#ROSBAG V1.2\n", "is a rosbag1 file of before 2010; bring it up to date with `rosbag fix`"),
     ],
 )
 def test_files_that_are_no_bags(tmp_path: Path, name: str, data: bytes, what: str) -> None:
@@ -94,7 +94,7 @@ def test_what_a_drive_is_read_as(tmp_path: Path) -> None:
     (tmp_path / "folder" / "left.bag").touch()
     assert load_drive(tmp_path / "folder").sha256 != load_drive(bag.parent, VEHICLE).sha256
     (tmp_path / "A.MCAP").touch()
-    with pytest.raises(DataError, match="bags are named"):
+    with pytest.raises(DataError, match="has 0 bytes"):
         load_drive(tmp_path / "A.MCAP", VEHICLE)
 
 
@@ -138,10 +138,6 @@ def test_old_recordings_name_their_folder_too(recording: Path) -> None:
         (
             {"compression_mode": "FILE", "compression_format": "rar"},
             "compressed by file with rar; only file or message with zstd",
-        ),
-        (
-            {"compression_mode": "file", "compression_format": "zstd"},
-            "b.mcap: cannot be unpacked, it is damaged or not zstd",
         ),
     ],
 )

@@ -60,6 +60,22 @@ def test_chain_is_found_by_usual_names() -> None:
     assert tf.find_chain([("husky/map", "husky/base_link")], None, None) == tf.Chain(("husky/map", "husky/base_link"))
 
 
+def test_chain_past_the_odometry_where_two_nodes_tell_of_the_base() -> None:
+    """Motion capture beside the odometry, whichever comes first; a frame of two parents, whose one leads nowhere."""
+    wheels, mocap = ("odom", "base_link"), ("world", "base_link")
+    for edges in ([wheels, mocap], [mocap, wheels], [("map", "odom"), wheels, mocap], [("a", "base_link"), mocap]):
+        assert tf.find_chain(edges, None, None) == tf.Chain(("world", "base_link"))
+    assert tf.find_chain([("map", "odom"), wheels, mocap], "map", None) == tf.Chain(("map", "odom", "base_link"))
+    stray = [("base_footprint", "base_link"), wheels, ("map", "odom")]
+    assert tf.find_chain(stray, None, None) == tf.Chain(("map", "odom", "base_link"))
+
+
+def test_frames_that_all_tell_of_each_other_end() -> None:
+    names = [f"f{i}" for i in range(40)] + ["base_link"]
+    edges = [(a, b) for a in names for b in names if a != b]
+    assert tf.find_chain(edges, None, None) is None
+
+
 @pytest.mark.parametrize(
     "edges",
     [

@@ -14,6 +14,7 @@ import numpy as np
 
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
+from skidsteer.io.bag_names import name_of
 from skidsteer.io.messages import JOINT_STATE, LASER_SCAN, TF_TYPES, Samples, gather
 from skidsteer.io.open_bag import is_bag, open_bag
 from skidsteer.io.options import AUTOMATIC, BagOptions
@@ -107,7 +108,9 @@ def read_bag_noted(
         contents = replace(_contents(path, source, choice, looks, notes), antenna=antenna)
     start = common_start(list(parts.values()))
     series: dict[str, Any] = {part: to_series(timed, start, part) for part, timed in parts.items()}
-    drive = Drive(_name(path), vehicle, source=os.fspath(path), sha256=_digest(parts), antenna=antenna, **series)
+    drive = Drive(
+        name_of(Path(path).resolve()), vehicle, source=os.fspath(path), sha256=_digest(parts), antenna=antenna, **series
+    )
     return drive, contents
 
 
@@ -125,11 +128,6 @@ def _antenna(
             " base; that is taken for --mount where none is given (--mount free: estimated)"
         )
     return place
-
-
-def _name(path: str | os.PathLike[str]) -> str:
-    path = Path(path).resolve()
-    return path.name if path.is_dir() else path.stem
 
 
 def _look(source: Source, options: BagOptions) -> Looks:

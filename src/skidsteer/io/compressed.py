@@ -9,11 +9,16 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from skidsteer.errors import DataError, SkidSteerError
-from skidsteer.io.raw import BagTopic, RawMessages, Source, from_list, shown
+from skidsteer.io.bag_names import is_packed
+from skidsteer.io.raw import BagTopic, RawMessages, Source, from_list, rows_of_bytes, shown
 
 _MAX_MESSAGE = 64 << 20
 _PIECE = 1 << 20
+_MAGIC = np.frombuffer(b"\x28\xb5\x2f\xfd", dtype=np.uint8)  # of zstd; a message in CDR begins with 0
+_LOOK = 8  # messages of a topic that are looked at
 
 
 def _decompressor() -> Any:
@@ -23,6 +28,17 @@ def _decompressor() -> Any:
         from backports import zstd
 
     return zstd.ZstdDecompressor()
+
+
+def has_packed_messages(source: Source) -> bool:
+    """Whether the messages of a source are each compressed with zstd, by the first ones of its longest topic."""
+    longest = max(source.topics, key=lambda topic: topic.count, default=None)
+    if longest is None or longest.encoding != "cdr":
+        return False
+    for _, piece in source.read([longest], _LOOK):
+        starts = piece.start[piece.size >= len(_MAGIC)]
+        return len(starts) > 0 and bool((rows_of_bytes(piece.buffer, starts, len(_MAGIC)) == _MAGIC).all(axis=1).any())
+    return False
 
 
 class CompressedMessages:
@@ -70,13 +86,17 @@ def _unpack_message(data: bytes) -> bytes | None:
 
 
 class UnpackedFiles:
-    """A source of files that were compressed with zstd and are unpacked to a temporary folder. See ``raw.Source``."""
+    """A source of files of which some were compressed with zstd and are unpacked to a temporary folder.
+
+    See ``raw.Source``.
+    """
 
     def __init__(self, paths: Sequence[Path], opened: Callable[[Sequence[Path]], Source]) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="skidsteer-")
         self._cut: list[str] = []
         try:
-            self._source = opened([_unpack_file(path, Path(self._folder.name), self._cut) for path in paths])
+            folder = Path(self._folder.name)
+            self._source = opened([_unpack_file(p, folder, self._cut) if is_packed(p) else p for p in paths])
         except SkidSteerError as error:
             self._folder.cleanup()
             # The user knows the folder of the recording, not the temporary one.

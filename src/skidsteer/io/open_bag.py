@@ -11,16 +11,15 @@ from typing import Any
 import yaml
 
 from skidsteer.errors import DataError
+from skidsteer.io.bag_names import KINDS, PACKED, is_packed, kind_of, refuse_other_files
 from skidsteer.io.chunked import ChunkedSource
-from skidsteer.io.compressed import CompressedMessages, UnpackedFiles
+from skidsteer.io.compressed import CompressedMessages, UnpackedFiles, has_packed_messages
 from skidsteer.io.mcap_index import MCAP
 from skidsteer.io.raw import BagTopic, RawMessages, Source, shown
 from skidsteer.io.rosbag1_index import ROSBAG1
 from skidsteer.io.sqlite_source import SqliteSource
 from skidsteer.io.text_file import decode, read_bytes
 
-SUFFIXES = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "rosbag1"}
-_MAGIC = {".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0", ".bag": b"#ROSBAG V2.0\n"}
 _METADATA = "metadata.yaml"
 _MAX_METADATA = 4 << 20
 
@@ -29,8 +28,8 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
     """True for a file that is named like a bag, and for a folder with rosbag2's metadata or with bag files in it."""
     path = Path(path)
     if not path.is_dir():
-        return path.suffix.lower() in SUFFIXES
-    return (path / _METADATA).is_file() or any(entry.suffix in SUFFIXES for entry in path.iterdir())
+        return bool(kind_of(path))
+    return (path / _METADATA).is_file() or any(kind_of(entry) for entry in path.iterdir())
 
 
 @contextmanager
@@ -53,41 +52,24 @@ def _source(path: Path) -> Source:
             raise DataError(f"{shown(path)}: no such file or folder")
         if path.is_dir():
             return _folder(path)
-        _refuse_other_files(path)
         return _files([path])
     except (OSError, ValueError) as error:  # ValueError: a NUL byte in the path
         raise DataError(f"{shown(path)}: cannot be opened: {shown(error)}") from error
 
 
-def _refuse_other_files(path: Path) -> None:
-    """Say what a file is when it is not the bag that its name promises."""
-    if path.suffix not in SUFFIXES:
-        raise DataError(f"{path}: is no bag; bags are named {', '.join(sorted(SUFFIXES))}, or are a rosbag2 folder")
-    if not path.is_file():
-        raise DataError(f"{path}: is a folder, a device or a pipe, not a file")
-    with path.open("rb") as file:
-        start = file.read(512)
-    kind = SUFFIXES[path.suffix]
-    if not start:
-        raise DataError(f"{path}: has 0 bytes; nothing was recorded, or the copy failed")
-    if start.startswith(_MAGIC[path.suffix]):
-        return
-    for suffix, magic in _MAGIC.items():
-        if start.startswith(magic):
-            raise DataError(f"{path}: is a {SUFFIXES[suffix]} file; rename it to {path.stem}{suffix}")
-    text = all(byte >= 32 or byte in b"\t\r\n" for byte in start)
-    what = "a text file" if text else "something else, or its beginning is damaged"
-    raise DataError(f"{path}: is not a {kind} file but {what}")
-
-
 def _file(path: Path) -> Source:
-    if path.suffix == ".db3":
-        return SqliteSource(path)
-    return ChunkedSource(path, MCAP if path.suffix == ".mcap" else ROSBAG1)
+    kind = kind_of(path)
+    return SqliteSource(path) if kind == ".db3" else ChunkedSource(path, MCAP if kind == ".mcap" else ROSBAG1)
 
 
 def _files(paths: Sequence[Path]) -> Source:
-    return _file(paths[0]) if len(paths) == 1 else _Several(paths)
+    """Files of one recording as a source. What is compressed tells so itself: the list of files may be lost."""
+    for path in paths:
+        refuse_other_files(path)
+    if any(map(is_packed, paths)):
+        return UnpackedFiles(paths, _files)
+    source = _file(paths[0]) if len(paths) == 1 else _Several(paths)
+    return CompressedMessages(source) if has_packed_messages(source) else source
 
 
 def _folder(path: Path) -> Source:
@@ -96,33 +78,27 @@ def _folder(path: Path) -> Source:
     information = _metadata(path / _METADATA)
     paths = _listed_files(path, information)
     mode, packing = (str(information.get(f"compression_{part}") or "").lower() for part in ("mode", "format"))
-    if mode in ("", "none"):
-        return _storage_files(paths)
-    if mode not in ("file", "message") or packing != "zstd":
+    if mode not in ("", "none") and (mode not in ("file", "message") or packing != "zstd"):
         how = f"{shown(mode, 20)} with {shown(packing, 20)}"
         raise DataError(f"{path / _METADATA}: compressed by {how}; only file or message with zstd can be read")
-    return UnpackedFiles(paths, _storage_files) if mode == "file" else CompressedMessages(_storage_files(paths))
-
-
-def _storage_files(paths: Sequence[Path]) -> Source:
-    """Files of a rosbag2 recording, all of one kind."""
-    suffixes = sorted({file.suffix for file in paths})
-    if suffixes not in ([".mcap"], [".db3"]):
-        raise DataError(f"{paths[0].parent}: its files are of the kinds {shown(suffixes)}; need .mcap or .db3")
-    for file in paths:
-        _refuse_other_files(file)
+    kinds = sorted({kind_of(file) or file.suffix for file in paths})
+    if kinds not in ([".mcap"], [".db3"]):
+        raise DataError(f"{path}: its files are of the kinds {shown(kinds)}; need .mcap or .db3")
     return _files(paths)
 
 
 def _bag_files(path: Path) -> list[Path]:
     """The bag files of a folder without metadata, all of the first kind that there is."""
-    for suffix in SUFFIXES:
-        files = sorted(entry for entry in path.iterdir() if entry.suffix == suffix and entry.is_file())
+    for kind in KINDS:
+        files = sorted(entry for entry in path.iterdir() if kind_of(entry) == kind and entry.is_file())
         if files:
-            for file in files:
-                _refuse_other_files(file)
-            return files
-    raise DataError(f"{path}: holds no {_METADATA} and no file named {', '.join(sorted(SUFFIXES))}")
+            return [file for file in files if not _is_original(file)]
+    raise DataError(f"{path}: holds no {_METADATA} and no file named {', '.join(sorted(KINDS))}")
+
+
+def _is_original(path: Path) -> bool:
+    """Whether a file is what ``rosbag compress``, ``reindex`` or ``fix`` keep beside the file they made of it."""
+    return path.name.endswith(".orig.bag") and path.with_name(path.name.removesuffix(".orig.bag") + ".bag").is_file()
 
 
 class _Loader(yaml.SafeLoader):
@@ -161,11 +137,17 @@ def _listed_files(folder: Path, information: dict[str, Any]) -> list[Path]:
         if outside or ".." in PurePosixPath(name).parts:
             raise DataError(f"{folder / _METADATA}: lists {shown(name)}, outside of the bag's folder; refused")
         # Old versions prefix the name of the folder the bag was recorded to; the files lie beside the metadata.
-        paths.append(folder / PurePosixPath(name).name)
+        paths.append(_as_it_lies_there(folder / PurePosixPath(name).name))
     missing = [path.name for path in paths if not path.is_file()]
     if missing:
         raise DataError(f"{folder}: {shown(', '.join(missing))} listed in {_METADATA} is missing")
     return paths
+
+
+def _as_it_lies_there(path: Path) -> Path:
+    """The file itself, or the compressed or uncompressed one that is there in its place."""
+    other = path.with_suffix("") if is_packed(path) else path.with_name(path.name + PACKED)
+    return other if other.is_file() and not path.is_file() else path
 
 
 class _Several:

@@ -121,7 +121,7 @@ def _counts(data: bytes) -> dict[int, int]:
 
 def _add_chunks(file: ByteFile, index: BagIndex, chunks: list[tuple[int, dict[int, int]]], end: int) -> None:
     """Take in the chunks; between one and the next lies the index of its messages."""
-    nexts = [start for start, _ in chunks[1:]] + [end]
+    nexts = [*(start for start, _ in chunks), end][1:]
     for (start, counts), following in zip(chunks, nexts, strict=True):
         record = _record(file, start)
         if record.op != CHUNK or not start < record.end <= following <= end:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from itertools import compress
 from pathlib import Path
 
@@ -16,6 +19,7 @@ from skidsteer.io.raw import BagTopic, Definition, RawMessages, from_list, shown
 
 _AT_A_TIME = 512  # rows; more no longer fit the cache and take longer
 _LONGEST = 64 << 20  # bytes of one value; SQLite refuses longer ones
+_LOGS = ("-wal", "-journal")  # beside the file of a recorder that died: what to write into it yet, what to take back
 _KINDS = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
@@ -27,8 +31,9 @@ class SqliteSource:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.notes: list[str] = []
-        self._connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+        self._open = ExitStack()
         try:
+            self._connection = self._connected()
             self._guard()
             self._topics = self._list_topics()
         except sqlite3.Error as error:
@@ -38,13 +43,30 @@ class SqliteSource:
             self.close()
             raise
         self.topics = tuple(self._topics.values())
-        log = path.with_name(path.name + "-wal")
-        if log.is_file() and log.stat().st_size:
-            self.notes.append(f"{path.name}: the recorder left {log.name} behind; what is in it was not read")
+
+    def _connected(self) -> sqlite3.Connection:
+        """The database as it lies there; with the logs that a dead recorder left beside it, a copy that takes them in.
+
+        SQLite would write to the user's files otherwise.
+        """
+        path, words = self._path, "mode=ro&immutable=1"
+        logs = [log for end in _LOGS if (log := path.with_name(path.name + end)).is_file() and log.stat().st_size]
+        if logs:
+            folder = Path(self._open.enter_context(tempfile.TemporaryDirectory(prefix="skidsteer-")))
+            if sum(file.stat().st_size for file in (path, *logs)) > shutil.disk_usage(folder).free // 2:
+                self.notes.append(f"{path.name}: {logs[0].name} beside it was not read; there is no room for a copy")
+            else:
+                for file in (path, *logs):
+                    shutil.copyfile(file, folder / file.name)
+                self.notes.append(f"{path.name}: the recorder left {logs[0].name} behind; what is in it was read, too")
+                path, words = folder / path.name, "mode=rw"
+        connection = sqlite3.connect(f"{path.resolve().as_uri()}?{words}", uri=True)
+        self._open.callback(connection.close)
+        return connection
 
     def close(self) -> None:
         """Close the file."""
-        self._connection.close()
+        self._open.close()
 
     def read(self, topics: Sequence[BagTopic], limit: int | None = None) -> Iterator[tuple[BagTopic, RawMessages]]:
         """Messages of these topics, in the order in which they were recorded. See ``raw.Source``."""

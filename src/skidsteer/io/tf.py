@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ Edge = tuple[str, str]  # parent frame, child frame
 MAP_FRAMES = ("map", "world", "earth", "mocap", "vicon", "optitrack", "global")
 BASE_FRAMES = ("base_link", "base_footprint", "base", "chassis_link", "chassis")
 _MAX_LINKS = 64
+_MAX_WAYS = 256
 _UNIT = 3.0  # orders of magnitude by which the length of a quaternion may differ from one
 
 
@@ -101,18 +102,32 @@ def find_chain(edges: Sequence[Edge], map_frame: str | None, base_frame: str | N
     """The chain from a map frame to the base; None where there is none.
 
     Without ``map_frame`` the highest frame with a usual name is taken, never ``odom``: what lies below that comes
-    from the wheels.
+    from the wheels. Where several nodes tell of the same frame, as motion capture beside the odometry, the shortest
+    chain is taken.
     """
-    parent = {child: above for above, child in reversed(edges)}
-    bases = [base_frame] if base_frame else sorted(parent.keys() | set(parent.values()), key=_base_rank)
+    parents: dict[str, list[str]] = {}
+    for above, below in edges:
+        parents.setdefault(below, []).append(above)
+    bases = [base_frame] if base_frame else sorted({frame for edge in edges for frame in edge}, key=_base_rank)
     for base in bases:
         if not base_frame and last_name(base) not in BASE_FRAMES:
             return None
-        frames = _upwards(parent, base)
-        tops = [i for i, frame in enumerate(frames) if i and _is_top(frame, map_frame)]
-        if tops:
-            return Chain(tuple(reversed(frames[: tops[-1] + 1])))
+        chains = []
+        for frames in islice(_ways_up(parents, (base,)), _MAX_WAYS):
+            tops = [i for i, frame in enumerate(frames) if i and _is_top(frame, map_frame)]
+            chains += [tuple(reversed(frames[: tops[-1] + 1]))] if tops else []
+        if chains:
+            return Chain(min(chains, key=lambda frames: (len(frames), frames)))
     return None
+
+
+def _ways_up(parents: Mapping[str, Sequence[str]], frames: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Every way that leads on from the last of these frames to one that has no parent."""
+    above = [frame for frame in parents.get(frames[-1], ()) if frame not in frames and len(frames) < _MAX_LINKS]
+    for frame in above:
+        yield from _ways_up(parents, (*frames, frame))
+    if not above:
+        yield frames
 
 
 def _base_rank(frame: str) -> tuple[int, str]:
