@@ -1,10 +1,10 @@
 """Paths to follow: curves in the plane by arc length, with heading, curvature and its slope.
 
-A path is a row of clothoid pieces: from knot to knot the curvature changes linearly with the arc length. Lines, arcs,
-clothoids and stadiums are such rows exactly; the lemniscate and the spline are cut into pieces of ``STEP``, whose knots
-lie on the curve, with its headings.
+A path is a sequence of clothoids: from knot to knot the curvature changes linearly with the arc length. Lines, arcs,
+clothoids and stadiums are such sequences exactly; lemniscate and spline are cut into pieces of ``STEP``, whose knots
+lie on the curve and have its headings.
 
-Positive curvature turns left. A path that is driven in reverse is the same curve: along it the robot's rear leads.
+Positive curvature turns left. A path driven in reverse is the same curve, along which the robot's rear leads.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 STEP = 0.02  # [m] between knots, at most
 LONGEST = 1e5  # [m] of a path, or of a leg between waypoints
-WINDOW = 2.0  # [m] of path, to either side of where it was, in which the robot is looked for
-KINK = 1e-3  # [rad] that headings may differ by where pieces meet
-GAP = 1e-4  # [m] that they may lie apart there
-SAME = 1e-6  # [m] between two points that are one
-SHARPEST = np.radians(150.0)  # turn between the legs of waypoints, beyond which they go back
+WINDOW = 2.0  # [m] of path, to either side of the last place, in which the robot is searched
+KINK = 1e-3  # [rad] by which headings may differ where pieces meet
+GAP = 1e-4  # [m] by which they may be apart there
+SAME = 1e-6  # [m] within which two points are one
+SHARPEST = np.radians(150.0)  # turn between legs of waypoints, beyond which the path goes back
 ORIGIN = (0.0, 0.0, 0.0)
 NODES, WEIGHTS = kernels.NODES, kernels.WEIGHTS  # of a Gauss-Legendre quadrature on [0, 1]
 
@@ -53,7 +53,7 @@ class Path:
 
     ``knots`` (n, 6) are rows of s [m], x, y [m], yaw [rad] (of the tangent, unwrapped), curvature [1/m] and its slope
     [1/m^2]; each row begins a piece, the last one ends the path. Curvature may jump where pieces meet, position and yaw
-    may not. s of a closed path goes on lap after lap; beyond the ends of an open one the path goes straight on.
+    may not. On a closed path s counts on lap after lap; beyond its ends an open path continues straight.
 
     Raises:
         RequestError: fewer than two knots, numbers that are not finite, an arc length that does not increase, a gap or
@@ -103,15 +103,15 @@ class Path:
         return self._points(s)[..., 4]
 
     def robot(self, s: ArrayLike) -> FloatArray:
-        """Poses (..., 3) of a robot that follows the path exactly: turned round where it is driven in reverse."""
+        """Poses (..., 3) of a robot that follows the path exactly: turned by 180 deg where it drives in reverse."""
         return self.at(s) + [0.0, 0.0, np.pi if self.reverse else 0.0]
 
     def error(self, pose: ArrayLike, s: ArrayLike) -> FloatArray:
-        """Where robots at poses (..., 3) are in the Serret-Frenet frames at s (...).
+        """Errors of robots at poses (..., 3) in the Serret-Frenet frames at s (...).
 
         Returns:
-            (..., 3): x_e [m] ahead of, y_e [m] to the left of the point at s, seen along the path, and theta_e [rad],
-            by which the direction it drives in (its rear in reverse) is turned to the left of the tangent, wrapped.
+            (..., 3): x_e [m] ahead of and y_e [m] to the left of the point at s, along the tangent, and theta_e [rad]
+            from the tangent to the direction of driving (the rear in reverse), wrapped.
         """
         error = between(self.at(s), pose)
         error[..., 2] = wrap(np.asarray(pose)[..., 2] - self.robot(s)[..., 2])
@@ -122,9 +122,9 @@ class Path:
 
         Args:
             point: x, y [m].
-            near: [m] where the robot was; only the path within ``window`` about it is searched, so that it stays on
-                its branch where the path crosses itself. Where the nearest point lies at the edge of that window the
-                robot was lost, and the whole path is searched. None: the whole path.
+            near: [m] the last arc length; only the path within ``window`` about it is searched, so that the robot stays
+                on its branch where the path crosses itself. If the nearest point lies at the edge of that window, the
+                whole path is searched. None: the whole path.
             window: [m] of path to either side.
 
         Returns:
@@ -140,7 +140,7 @@ class Path:
         return float(kernels.project(self.knots, self.closed, x, y, about, window))
 
     def placed(self, start: ArrayLike) -> Self:
-        """The same curve, moved so that it begins at a pose (3,)."""
+        """The same curve, moved rigidly so that it begins at a pose (3,)."""
         moved = self.knots.copy()
         moved[:, 1:4] = compose(compose(np.asarray(start, dtype=float), invert(self.knots[0, 1:4])), moved[:, 1:4])
         return replace(self, knots=moved)
@@ -157,7 +157,7 @@ class Path:
 
 
 def _refuse_breaks(knots: FloatArray) -> None:
-    """Refuse knots that the piece before does not lead to."""
+    """Refuse knots that do not lie where the piece before ends."""
     led = compose(knots[:-1, 1:4], _pieces(np.diff(knots[:, 0]), knots[:-1, 4], knots[:-1, 5]))
     gap = np.hypot(*(led - knots[1:, 1:4])[:, :2].T)
     kink = np.abs(wrap(led[:, 2] - knots[1:, 3]))
@@ -203,7 +203,7 @@ def arc(radius: float, angle: float, start: ArrayLike = ORIGIN) -> Path:
 
 
 def clothoid(length: float, first: float, last: float, start: ArrayLike = ORIGIN) -> Path:
-    """A curve whose curvature goes from the first to the last [1/m] in proportion to the arc length (Euler's spiral).
+    """A curve whose curvature changes from the first to the last [1/m] linearly with the arc length (Euler's spiral).
 
     Raises:
         RequestError: a length that is not positive or far too long, a curvature that is not finite.
@@ -225,7 +225,7 @@ def stadium(straight: float, radius: float, start: ArrayLike = ORIGIN) -> Path:
 
 
 def lemniscate(width: float, start: ArrayLike = ORIGIN) -> Path:
-    """Bernoulli's lemniscate, an eight of a width [m] from end to end; closed; begins where it crosses itself.
+    """Bernoulli's lemniscate, a figure of eight of a width [m]; closed; begins where it crosses itself.
 
     With a = width / 2: x = a cos t / (1 + sin^2 t), y = x sin t, s = a F(t | -1), yaw = 3 atan(sin t) + pi / 2,
     curvature 3 cos t / (a sqrt(1 + sin^2 t)); the first loop turns left, the second right. Its length is 2.622 width.
@@ -259,7 +259,7 @@ def spline(waypoints: ArrayLike, closed: bool = False) -> Path:
 
     Args:
         waypoints: at least two, of a closed path at least three.
-        closed: goes on from the last one to the first, which need not be repeated.
+        closed: continues from the last one to the first, which need not be repeated.
 
     Raises:
         DataError: too few waypoints, numbers that are not finite, one that is repeated, legs that go back.
@@ -323,7 +323,7 @@ def _by_arc_length(curve: CubicSpline, knots: FloatArray) -> tuple[FloatArray, F
 
 
 def _knots(s: FloatArray, poses: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Knots (n, 6) of a smooth curve: curvature between two of them such that the headings of both are met."""
+    """Knots (n, 6) of a smooth curve, with curvatures such that each piece ends at the heading of the next knot."""
     ds = np.diff(s)
     slope = np.diff(curvature) / ds
     met = np.diff(poses[:, 2]) / ds - 0.5 * slope * ds
@@ -347,7 +347,7 @@ def join(*paths: Path) -> Path:
 
 
 def _count(length: float) -> int:
-    """Pieces not longer than ``STEP``.
+    """Number of pieces no longer than ``STEP``.
 
     Raises:
         RequestError: too many of them.

@@ -1,8 +1,8 @@
-"""A robot on its wheels in time: rim speeds asked for in, its motion out. Planar, implicit Euler steps.
+"""Planar motion of a robot on its wheels: commanded rim speeds in, motion out, by implicit Euler steps.
 
-The shear stress follows the sliding at once, as in the steady turn; at low speed that is stiff, which is why the steps
-are implicit. The loads follow the ground's forces of the step before. The rims follow a first-order lag as long as the
-torque reaches; where it does not, they pull with the limit.
+The shear stress follows the sliding without delay, as in the steady turn; at low speed that is stiff, hence the
+implicit steps. Wheel loads follow the ground's forces of the previous step. The rims follow a first-order lag while the
+torque suffices; otherwise they are driven with its limit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from skidsteer.terramechanics.robot import Robot
 from skidsteer.terramechanics.shear import NODES, Quadrature
 from skidsteer.terramechanics.terrain import Ground, Terrain
 
-STEP = 0.005  # [s] longest
+STEP = 0.005  # [s] at most
 
 
 def move(
@@ -36,9 +36,9 @@ def move(
     Args:
         robot: that moves.
         ground: terrain everywhere, or areas of several.
-        commands: (n, 2) [m/s] rim speeds asked for, held from sample to sample; steps end at the samples.
+        commands: (n, 2) [m/s] rim speeds, held from sample to sample; steps end at the samples.
         start: (8,) x, y [m], yaw [rad], v_x, v_y [m/s], omega [rad/s], left and right rim speed [m/s].
-        step: [s] longest.
+        step: [s] at most.
         quadrature: over each patch.
 
     Raises:
@@ -61,7 +61,7 @@ def move(
 
 
 class RollingRobot:
-    """A robot on its way, stepped from outside: `move`, a stretch at a time. See ``Rolling``.
+    """The motion of `move`, stepped from outside. See ``Rolling``.
 
     Args:
         robot: that moves; its lag is that of the wheels.
@@ -80,7 +80,7 @@ class RollingRobot:
         self._parts, self._length = np.zeros(1), 0.0  # [s] of a step, cut; of which length
 
     def step(self, rims: ArrayLike, dt: float) -> FloatArray:
-        """State (8,) dt [s] later, with rim speeds (2,) [m/s] asked for; see ``Rolling``.
+        """State (8,) dt [s] later, with commanded rim speeds (2,) [m/s]; see ``Rolling``.
 
         Raises:
             OverturnedError: a wheel lifts off.
@@ -112,7 +112,7 @@ def terramechanic_drive(
         name: of the drive.
         robot: that moves, from rest at the origin.
         ground: terrain everywhere, or areas of several.
-        commands: (n, 2) [m/s] rim speeds asked for, held from sample to sample.
+        commands: (n, 2) [m/s] rim speeds, held from sample to sample.
         sensors: that record it.
         seed: of the sensors' noise.
 
@@ -139,7 +139,7 @@ Numbers = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, Floa
 
 
 def _numbers(robot: Robot, ground: Ground, quadrature: Quadrature) -> Numbers:
-    """What does not change on the way, in the order of `kernels.ground.drive`."""
+    """The constants, in the order of `kernels.ground.drive`."""
     return robot.places, _body(robot), ground.bounds(), ground.numbers(), *quadrature.nodes()
 
 

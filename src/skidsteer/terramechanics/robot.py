@@ -1,4 +1,4 @@
-"""A robot as the ground feels it: where its wheels stand, what they carry, what its drives can do."""
+"""A robot as the ground feels it: positions and loads of the wheels, limits of the drives."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """Measures that matter for forces. The wheels of a side turn together; axles are evenly spaced.
+    """Properties that determine the forces. The wheels of a side turn together; axles are evenly spaced.
 
-    The origin is the middle between all wheels, on the ground.
+    The origin lies in the middle of all wheels, on the ground.
 
     Raises:
         RequestError: a measure that cannot be, or a centre of mass that lifts a wheel off at rest.
@@ -35,7 +35,7 @@ class Robot:
     com_x: float = 0.0  # [m] centre of mass ahead of the origin
     com_y: float = 0.0  # [m] to the left of it
     com_height: float = 0.0  # [m] above the ground
-    lag: float = 0.1  # [s] of the speed loop of the wheels; 0: the rims do as they are told, where the torque reaches
+    lag: float = 0.1  # [s] of the speed control of the wheels; 0: none, as far as the torque suffices
     torque_limit: float = math.inf  # [N m] of the wheels of one side together
     wheel_inertia: float = 0.02  # [kg m^2] of the wheels of one side together, their motor included
 
@@ -60,7 +60,7 @@ class Robot:
 
     @property
     def axles(self) -> FloatArray:
-        """Where the axles are, x [m], front first."""
+        """Positions x [m] of the axles, front first."""
         half = 0.5 * (self.vehicle.wheel_base or 0.0)
         return np.linspace(half, -half, self.vehicle.wheels // 2)
 
@@ -81,7 +81,7 @@ class Robot:
         return np.asarray(-self.mass * self.com_height * np.column_stack([x / (x @ x), y / (y @ y)]))
 
     def loads(self, acceleration: ArrayLike = (0.0, 0.0)) -> FloatArray:
-        """Load (..., w) [N] of each wheel; springs of equal stiffness share it, linearly in the place of the wheel.
+        """Load (..., w) [N] of each wheel, as on springs of equal stiffness: linear in the position of the wheel.
 
         Args:
             acceleration: (..., 2) [m/s^2] of the centre of mass, in the frame of the body; default: at rest.
@@ -97,10 +97,11 @@ class Robot:
 
 
 def robot(vehicle: Vehicle, **measures: Any) -> Robot:
-    """A robot from what is known of a vehicle; what is neither known nor given is assumed.
+    """A robot of a vehicle; what is neither known of that nor given is assumed.
 
-    Assumed are a patch a third of the wheel's radius long and half of it wide, a centre of mass as high as the axles,
-    the yaw inertia of a homogeneous box around the wheels, and a torque that just spins the wheels where friction is 1.
+    Assumed are a contact patch a third of the wheel's radius long and half of it wide, a centre of mass at the height
+    of the axles, the yaw inertia of a homogeneous box around the wheels, and a torque that just spins the wheels where
+    friction is 1.
 
     Args:
         vehicle: with a wheel base, and a mass unless that is given.

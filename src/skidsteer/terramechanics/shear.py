@@ -3,9 +3,9 @@
 The equations are printed for x to the right and y forward; here REP-103 holds. Eq. (17), lost in print, is
 tau = p mu (1 - exp(-j / K)), Wong 2001. The exponents of Eqs. (19), (21) print K_r for left wheels.
 
-Yu's shear displacement j is the chord of the element's way over the ground since it came into contact. Ours is the
-mean sliding velocity seen from the robot, times the time T in contact: the same but for terms of order (omega T)^2 (chi
-of Table 1's robot differs by 2e-5), and it does not fold back on itself where a wheel hardly turns.
+Yu's shear displacement j is the straight distance over the ground from where the element came into contact. Ours is the
+mean sliding velocity seen from the robot, times the time T in contact: the same up to terms of order (omega T)^2 (chi
+of Table 1's robot differs by 2e-5), and free of artefacts where a wheel hardly turns.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from skidsteer.terramechanics.terrain import Terrain
 
 @dataclass(frozen=True, slots=True)
 class Quadrature:
-    """Gauss-Legendre nodes over a patch, along it in the root of the way from the edge where the ground comes in.
+    """Gauss-Legendre nodes over a patch, along it in the root of the distance from the leading edge.
 
-    There the stress rises within about K. How accurate a number of nodes is stands in docs/ground.md.
+    There the stress rises within about K. docs/ground.md has the accuracy by number of nodes.
     """
 
     along: int = 8
@@ -37,7 +37,7 @@ class Quadrature:
             raise ValueError(f"need at least one node each way, got {self.along} along, {self.across} across")
 
     def nodes(self) -> tuple[FloatArray, FloatArray]:
-        """Nodes and weights along (n, 2), from 0 to 1, and across (m, 2), from -1/2 to 1/2. Weights sum up to 1."""
+        """Nodes and weights along (n, 2), from 0 to 1, and across (m, 2), from -1/2 to 1/2. Weights sum to 1."""
         u, w = _gauss(self.along)
         across, weight = _gauss(self.across)
         return np.column_stack([u**2, 2.0 * u * w]), np.column_stack([across - 0.5, weight])
@@ -52,7 +52,7 @@ def _gauss(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def friction(terrain: Terrain, rims: ArrayLike) -> FloatArray:
-    """Friction mu (...) for rim speeds (..., 2): mu_op where the sides turn opposite ways, else mu_sa."""
+    """Friction mu (...) at rim speeds (..., 2): mu_op where the sides turn in opposite directions, else mu_sa."""
     rims = np.asarray(rims, dtype=float)
     return np.where(rims[..., 0] * rims[..., 1] < 0.0, terrain.friction_opposite, terrain.friction)
 
@@ -111,8 +111,8 @@ def rolling_forces(
 ) -> tuple[FloatArray, FloatArray]:
     """Rolling resistance of each wheel against the motion of its hub, Eq. (22), and its derivative by the twist.
 
-    Added up it is the m g mu_roll of Eq. (22) where all hubs move forwards, and a moment where they move apart, which
-    Eq. (22) leaves open. Below ``STANDSTILL`` it fades.
+    The sum is the m g mu_roll of Eq. (22) where all hubs move forwards, and a moment where they move in opposite
+    directions, which Eq. (22) leaves open. Below ``STANDSTILL`` it fades.
 
     Returns:
         (..., w, 3) F_x, F_y [N] and the moment about the origin [N m]; (..., w, 3, 3).

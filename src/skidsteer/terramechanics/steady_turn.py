@@ -1,4 +1,4 @@
-"""The motion that held rim speeds lead to, forces in balance in a steady turn: Wang 2015, Eqs. (16), (22)-(24)."""
+"""Steady motion at constant rim speeds, where the forces are in balance: Wang 2015, Eqs. (16), (22)-(24)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skidsteer.terramechanics.terrain import Terrain
 
 ITERATIONS = 200
 FIRST_STEP = 0.1  # [s]
-SHORTEST_STEP = 1e-4  # [s] that is taken even where the lack grows: the motion in time leads past that
+SHORTEST_STEP = 1e-4  # [s] that is taken even where the residual grows: the motion in time leads past that
 TOLERANCE = 1e-10  # of forces, relative to the weight
 
 
@@ -71,10 +71,10 @@ def rims_on_path(path_curvature: ArrayLike, speed: ArrayLike) -> FloatArray:
 def steady_turn(
     robot: Robot, terrain: Terrain, v_left: ArrayLike, v_right: ArrayLike, quadrature: Quadrature = NODES
 ) -> SteadyTurn:
-    """Find the twist at which the ground's forces balance the centrifugal one, Eq. (16).
+    """Find the twist at which the ground's forces balance the centrifugal force, Eq. (16).
 
-    Where the paper searches chi and lambda that leave the least force, Eq. (23), Newton steps find the twist that
-    leaves none, in a time that runs ever faster so that they do not overshoot. The loads follow the acceleration.
+    Where the paper searches for the chi and lambda of least residual force, Eq. (23), pseudo-transient Newton steps
+    find the twist without any. The loads follow the acceleration.
 
     Args:
         robot: that turns.
@@ -96,7 +96,7 @@ def steady_turn(
     for _ in range(ITERATIONS):
         if (balance.size <= TOLERANCE).all():
             break
-        tried = twist - np.linalg.solve(balance.slope + _inertia(robot) / step[:, None, None], balance.lack)[..., 0]
+        tried = twist - np.linalg.solve(balance.slope + _inertia(robot) / step[:, None, None], balance.residual)[..., 0]
         after = _balance(robot, terrain, tried, flat, quadrature)
         better = (after.size < balance.size) | (step <= SHORTEST_STEP)
         change = np.where(better, balance.size / np.maximum(after.size, TOLERANCE), 0.1)
@@ -111,17 +111,17 @@ def steady_turn(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Balance:
-    """Forces that are missing at some twists, for each operating point."""
+    """Residual forces at some twists, for each operating point."""
 
-    lack: FloatArray  # (n, 3, 1) [N, N, N m]
-    slope: FloatArray  # (n, 3, 3) derivative of the lack by the twist
+    residual: FloatArray  # (n, 3, 1) [N, N, N m]
+    slope: FloatArray  # (n, 3, 3) its derivative by the twist
     loads: FloatArray  # (n, w) [N]
-    size: FloatArray  # (n,) of the lack, relative to the weight
+    size: FloatArray  # (n,) its size, relative to the weight
 
     def where(self, better: np.ndarray, other: _Balance) -> _Balance:
         """The other one where it is better."""
         return _Balance(
-            np.where(better[:, None, None], other.lack, self.lack),
+            np.where(better[:, None, None], other.residual, self.residual),
             np.where(better[:, None, None], other.slope, self.slope),
             np.where(better[:, None], other.loads, self.loads),
             np.where(better, other.size, self.size),
@@ -145,10 +145,10 @@ def _balance(robot: Robot, terrain: Terrain, twist: FloatArray, rims: FloatArray
     m, origin = robot.mass, np.array([-robot.com_y, robot.com_x])
     inert = m * np.column_stack([acceleration, acceleration @ origin])  # moment about the origin
     inert_slope = m * np.concatenate([by_twist, (origin @ by_twist)[:, None]], axis=1)
-    lack = inert - np.einsum("nw,nwi->ni", loads, force)
+    residual = inert - np.einsum("nw,nwi->ni", loads, force)
     changed = np.einsum("nw,nwij->nij", loads, slope) + np.einsum("nwi,nwj->nij", force, per_load)
-    size = np.abs(lack / [1.0, 1.0, np.sqrt(robot.yaw_inertia / m)]).max(axis=1) / (m * GRAVITY)
-    return _Balance(lack[..., None], inert_slope - changed, loads, size)
+    size = np.abs(residual / [1.0, 1.0, np.sqrt(robot.yaw_inertia / m)]).max(axis=1) / (m * GRAVITY)
+    return _Balance(residual[..., None], inert_slope - changed, loads, size)
 
 
 def _centripetal(robot: Robot, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,7 +161,7 @@ def _centripetal(robot: Robot, twist: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _inertia(robot: Robot) -> FloatArray:
-    """Forces and moment about the origin (3, 3) that change the twist by 1 each second."""
+    """Mass matrix (3, 3): forces and moment about the origin per change of the twist in a second."""
     m, x, y = robot.mass, robot.com_x, robot.com_y
     return np.array([[m, 0.0, -m * y], [0.0, m, m * x], [-m * y, m * x, robot.yaw_inertia + m * (x**2 + y**2)]])
 

@@ -1,4 +1,4 @@
-"""What a wheel feels of the ground, and grounds that differ from place to place or change with time."""
+"""Properties of the ground, and grounds that differ from place to place or change with time."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from skidsteer.se2 import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Terrain:
-    """Numbers of a firm ground, Wang 2015, Table 1, after Yu 2010 and Wong 2001; and one that is ours.
+    """Parameters of firm ground, Wang 2015, Table 1, after Yu 2010 and Wong 2001, and one of our own.
 
-    ``lateral_shear_modulus`` stands for tyres that give way more easily sideways than lengthwise. Where it is above
-    ``shear_modulus``, turns slip the less the wider they are; the paper has one modulus only.
+    ``lateral_shear_modulus`` stands for tyres that are softer sideways than lengthwise. Where it is above
+    ``shear_modulus``, wide turns slip less than tight ones; the paper has a single modulus.
 
     Raises:
         RequestError: friction or shear modulus not above zero, or a negative rolling resistance.
@@ -109,7 +109,7 @@ ALWAYS: Range = (-math.inf, math.inf)
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """A rectangle with another terrain, for a time; from each lower bound up to and without the upper one."""
+    """A rectangle with another terrain, for a time; each range is half-open, without its upper end."""
 
     terrain: Terrain
     x: Range = ALWAYS  # [m] in the frame of the drive
@@ -125,13 +125,13 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """A terrain everywhere, and areas over it; where several hold a wheel, the last of them counts."""
+    """A terrain everywhere, and areas over it; where several overlap, the last one counts."""
 
     everywhere: Terrain
     areas: Sequence[Area] = ()
 
     def words(self) -> str:
-        """The terrains, as ``parse_ground`` reads those that follow one another in time."""
+        """The ground as text; terrains that follow one another in time as ``parse_ground`` reads them."""
         later = (f"{a.terrain.name}@{a.t[0]:g}" if a.t[0] > -math.inf else a.terrain.name for a in self.areas)
         return ",".join([self.everywhere.name, *later])
 
