@@ -11,11 +11,11 @@ from skidsteer.laser.line import BoolArray, IntArray, Points
 from skidsteer.laser.scans import Scans
 from skidsteer.se2 import FloatArray
 
-GRAZING = math.radians(12.0)  # between ray and surface: seen at a smaller angle it falls apart
+GRAZING = math.radians(12.0)  # least angle between ray and surface at which its points stay together
 MISSING = 3  # rays in a row that may fail within a surface
-APART = 7.0  # sigmas that neighbouring points of one surface may differ by: five of a difference
-FEWEST_BEFORE = 3  # points of a thing that hides another; fewer are stray
-SPIKE = 6.0  # sigmas of a single ray off the middle of its two neighbours
+APART = 7.0  # sigmas by which neighbouring points of a surface may differ: five of their difference
+FEWEST_BEFORE = 3  # points of an object that hides another; fewer are stray
+SPIKE = 6.0  # sigmas of a ray off the mean of its two neighbours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,14 +24,14 @@ class Clusters:
 
     ray: IntArray  # (k,)
     range: FloatArray  # (k,) [m]
-    first: IntArray  # (c,) which point each begins with
+    first: IntArray  # (c,) index of the first point
     count: IntArray  # (c,) of its points
     scan: IntArray  # (c,)
-    hidden: BoolArray  # (c,) whether one side ends where something nearer stands before it
+    hidden: BoolArray  # (c,) whether a nearer object hides one of its ends
 
     @property
     def last(self) -> IntArray:
-        """Which point (c,) each ends with."""
+        """Index (c,) of the last point."""
         return self.first + self.count - 1
 
     def where(self, keep: BoolArray) -> Clusters:
@@ -50,8 +50,8 @@ class Clusters:
 def find_clusters(scans: Scans, sigma: float) -> Clusters:
     """Cut each scan where neighbouring points lie too far apart for one surface, or too many rays fail.
 
-    Points of one surface are at most as far apart as on a wall that the rays graze by ``GRAZING``, and noise. Single
-    rays off two neighbours that agree are left out: rain, dust, a reflection.
+    Points of a surface may be as far apart as on a wall that the rays meet at ``GRAZING``, plus noise. Single rays off
+    two neighbours that agree are left out: rain, dust, a reflection.
 
     Args:
         scans: any number, each cut on its own.

@@ -1,8 +1,8 @@
-"""Straight lines through clusters of laser points, well conditioned whatever way a line runs.
+"""Straight lines through clusters of laser points, well conditioned in every direction.
 
-Wang 2015, Eqs. (31)-(35), fits y = k x + a by the slope, which has no value for a line along y and falls short of the
-true one before (noise of x). Here a total least squares line gives the start, and least squares along the rays, where
-the noise is, the result: r = d / cos(bearing - normal), with d the distance of the line from the scanner.
+Wang 2015, Eqs. (31)-(35), fits y = k x + a. The slope is not defined for a line along y, and is biased towards 0 before
+that by the noise of x. Here total least squares gives the start, and least squares along the rays, where the noise is,
+the result: r = d / cos(bearing - normal), with d the distance of the line from the scanner.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from skidsteer.se2 import FloatArray
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-OUTLIER = 4.0  # sigmas from the line beyond which a point is none of it
-SINGULAR = 1e-9  # one minus squared correlation of normal and distance: below it rounding decides
+OUTLIER = 4.0  # sigmas from the line beyond which a point does not belong to it
+SINGULAR = 1e-9  # least 1 - squared correlation of normal and distance: below it rounding decides
 STEPS = 3  # of Gauss-Newton; the start is close enough for two
 
 
@@ -55,9 +55,9 @@ class Lines:
 
 
 def total_least_squares(points: Points) -> tuple[FloatArray, FloatArray]:
-    """Normal [rad] and distance [m], each (c,), of the lines nearest to the points across the line.
+    """Normal [rad] and distance [m], each (c,), of total least squares lines.
 
-    The slope form is Wang 2015, Eqs. (31)-(34); this one has no direction for which it fails.
+    In place of the slope of Wang 2015, Eqs. (31)-(34); it fails for no direction.
     """
     x, y = points.range * np.cos(points.bearing), points.range * np.sin(points.bearing)  # Eq. (30)
     count = points.total(np.ones_like(x))
@@ -95,7 +95,7 @@ def fit_lines(points: Points, sigma: float) -> Lines:
 
 
 def _is_sound(distance: FloatArray, cofactor: FloatArray) -> BoolArray:
-    """Whether the points tell both numbers of each line (c,), and not through the scanner or behind it."""
+    """Whether the points determine each line (c,), and it runs neither through the scanner nor behind it."""
     a, b, c = cofactor[:, 0, 0], cofactor[:, 0, 1], cofactor[:, 1, 1]
     with np.errstate(invalid="ignore", over="ignore"):
         known = (a > 0.0) & (c > 0.0) & (a * c - b * b > SINGULAR * a * c)

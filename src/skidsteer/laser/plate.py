@@ -1,4 +1,4 @@
-"""The plate in each scan: where its centre is, which way it runs, and how sure that is. Wang 2015, section 3.2."""
+"""The plate in each scan: centre, direction and their covariance. Wang 2015, section 3.2."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Side = Literal["left", "right", "front", "back"]
 SIDES: dict[str, tuple[float, float]] = {"left": (0, 1), "right": (0, -1), "front": (1, 0), "back": (-1, 0)}
 
 FEWEST = 5  # points on a plate
-WIDTH_SHARE = 0.05  # of the width that a measured one may differ by, beside five of its own sigmas
+WIDTH_SHARE = 0.05  # of the width by which the measured one may differ, plus five of its sigmas
 ROUND = 1.5  # sigmas of the residuals beyond which a surface is not flat
-STRAIGHT_SHARE = 0.8  # of the points of a cluster that must lie on the line
-ROUGH_SHARE = 0.25  # of the width that the chord of a cluster may differ by, before a line is fitted
-FEW_SCANS = 100  # tell the noise on the plate
-COARSER = (1.0, 3.0, 10.0)  # times the noise elsewhere that the noise on the plate may be
+STRAIGHT_SHARE = 0.8  # of the points of a cluster that must lie on its line
+ROUGH_SHARE = 0.25  # of the width by which the chord of a cluster may differ before a line is fitted
+FEW_SCANS = 100  # from which the noise on the plate is estimated
+COARSER = (1.0, 3.0, 10.0)  # noise on the plate, over that elsewhere, that is tried
 CUT_OFF = 0.5 * math.sin(GRAZING)  # cosine of the largest slant of a ray on a plate, on the safe side
 CHUNK = 256  # scans at a time: their points stay in the cache
 NOTHING, NO_PLATE, CUT, SEVERAL, SEEN = range(5)
@@ -41,9 +41,9 @@ _SHOWN = (
 class Plate:
     """A thin upright plate on the robot, and where its centre sits in base_link.
 
-    The plate runs along ``yaw`` in base_link; Wang's stands in the robot's plane of symmetry: all three are 0. Since it
-    looks the same both ways, a heading is known up to half a turn; ``side`` tells on which side of the robot the
-    scanner stands where the plate is seen first.
+    The plate extends along ``yaw`` in base_link; Wang's stands in the robot's plane of symmetry: all three are 0. Since
+    it looks the same from both faces, the heading is known up to half a turn; ``side`` is the side of the robot on
+    which the scanner stands at first.
 
     Raises:
         RequestError: a width that is not positive, measures that are not finite, no such side.
@@ -69,13 +69,13 @@ class Plate:
 class Sightings:
     """The plate where it was seen, in the scanner's frame: k of n scans.
 
-    ``parts`` are two independent parts of the covariance of a pose: by the noise of the ranges, new in every scan, and
-    because an edge lies anywhere between two rays, the same in every scan of a robot that stands still. An error that
-    all ranges share is in neither.
+    ``parts`` are two independent parts of the covariance of a pose: one from the noise of the ranges, new in every
+    scan; one from the edges, which lie anywhere between two rays, the same in every scan of a robot at rest. An error
+    common to all ranges is in neither.
     """
 
     t: FloatArray  # (k,) [s] when the beam met the plate
-    pose: FloatArray  # (k, 3) x, y of the centre [m]; the way the plate runs [rad], as good as half a turn more
+    pose: FloatArray  # (k, 3) x, y of the centre [m]; direction [rad] of the plate, up to half a turn
     parts: FloatArray  # (k, 2, 3, 3)
     width: FloatArray  # (k,) [m] between the edges, each half a step beyond the last ray that hit
     chord: FloatArray  # (k,) [m] from the first point to the last, Wang 2015, Eq. (29)
@@ -94,22 +94,22 @@ class Sightings:
         return math.sqrt(self.square_sum.sum() / max(1, self.points.sum() - 2 * len(self.points)))
 
     def tally(self) -> str:
-        """In how many scans the plate was seen, and what was in the others."""
+        """In how many scans the plate was seen, and what the others show."""
         number = np.bincount(self.status, minlength=5).tolist()
         rest = ", ".join(f"{n} show {what}" for n, what in zip(number, _SHOWN, strict=False) if n)
         return f"the plate is seen in {number[SEEN]} of {len(self.status)} scans" + (f" ({rest})" if rest else "")
 
 
 def find_plate(scans: Scans | Sequence[Scans], width: float, range_sigma: float | None = None) -> Sightings:
-    """Find the plate in each scan on its own: cluster, fit a line, check the width, take the middle of the edges.
+    """Find the plate in each scan: cluster, fit a line, check the width, take the middle of the edges.
 
-    A scan is left out where no cluster is straight and as wide as the plate, where two are, and where what could be the
-    plate meets the edge of the field.
+    A scan is left out where no cluster is straight and as wide as the plate, where several are, and where a candidate
+    reaches the edge of the field.
 
     Args:
-        scans: n scans; or several lots of one scanner that changed its bearings, in any order.
+        scans: n scans; or several groups, in any order, of one scanner that changed its bearings.
         width: [m] of the plate.
-        range_sigma: [m] standard deviation of one range; None: as neighbouring rays tell.
+        range_sigma: [m] standard deviation of one range; None: estimated from neighbouring rays.
 
     Raises:
         DataError: the plate is seen in no scan; with what the scans show.
@@ -125,7 +125,7 @@ def find_plate(scans: Scans | Sequence[Scans], width: float, range_sigma: float 
 
 
 def _in_order(parts: Sequence[Sightings], t: FloatArray) -> Sightings:
-    """Several lots as one, sorted by time; ``t`` (n,) are the times of all scans."""
+    """Several groups as one, sorted by time; ``t`` (n,) are the times of all scans."""
     whole = _joined(parts)
     order = np.argsort(whole.t, kind="stable")
     columns = {field.name: getattr(whole, field.name)[order] for field in fields(Sightings) if field.name != "status"}

@@ -14,14 +14,14 @@ from skidsteer.errors import DataError
 from skidsteer.se2 import FloatArray
 
 EVEN = 0.05  # of a step, by which the steps between bearings may differ
-LEAST_NOISE = 0.0005  # [m] no scanner is better than that
-NEAREST, FARTHEST = 0.001, 1e4  # [m] between them lie the ranges of any scanner
-LOOKED_AT = 200  # scans from which the noise is estimated
+LEAST_NOISE = 0.0005  # [m] of any scanner
+NEAREST, FARTHEST = 0.001, 1e4  # [m] ranges of any scanner
+LOOKED_AT = 200  # scans, from which the noise is estimated
 
 
 @dataclass(frozen=True, slots=True)
 class Scanner:
-    """A 2D laser scanner as its data sheet tells it. The field is symmetric about the x axis."""
+    """A 2D laser scanner by its data sheet. The field is symmetric about the x axis."""
 
     field: float  # [rad] of view
     step: float  # [rad] between rays
@@ -51,10 +51,10 @@ SCANNERS: dict[str, Scanner] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scans:
-    """Scans of one scanner that stands still. Immutable.
+    """Scans of one scanner at rest. Immutable.
 
-    Ranges that are not finite, negative or those of no scanner mean that nothing came back; they are kept as 0.
-    Bearings that descend, as of a scanner mounted upside down, are turned round.
+    Ranges that are not finite, negative or beyond those of any scanner mean that nothing came back; they are kept as 0.
+    Descending bearings, as of a scanner mounted upside down, are reversed.
 
     Raises:
         DataError: shapes that do not fit, no scan, fewer than three rays, bearings that are not evenly spaced or span
@@ -123,10 +123,9 @@ def range_noise(scans: Scans) -> float:
 
 
 def edge_filter(scans: Scans, jump: float) -> Scans:
-    """As scanners filter themselves: no range where a neighbouring ray has none, or one ``jump`` [m] or more apart.
+    """Edge filter as scanners have it: no range where a neighbouring ray has none, or differs by ``jump`` [m] or more.
 
-    Frees a scan of rays that hit two things at once. A plate loses a ray at each end. The first and last ray of the
-    field have no neighbour beyond and are kept.
+    Removes rays that hit two objects at once. A plate loses a ray at each end.
     """
     ranges, edge = scans.ranges, np.zeros(scans.ranges.shape, dtype=bool)
     apart = (np.abs(np.diff(ranges, axis=1)) >= jump) | (ranges[:, 1:] == 0.0) | (ranges[:, :-1] == 0.0)
@@ -136,16 +135,16 @@ def edge_filter(scans: Scans, jump: float) -> Scans:
 
 
 def median_filter(scans: Scans) -> Scans:
-    """As scanners filter themselves: the median of each ray and its two neighbours; none for the first and the last."""
+    """Median filter as scanners have it: over each ray and its two neighbours; no range for the first and the last."""
     ranges = scans.ranges
     middle = np.median(np.stack([ranges[:, :-2], ranges[:, 1:-1], ranges[:, 2:]]), axis=0)
     return replace(scans, ranges=np.pad(middle, ((0, 0), (1, 1))))
 
 
 def mean_filter(scans: Scans, count: int) -> Scans:
-    """As scanners filter themselves: means of ``count`` scans, block by block, of the rays that came back.
+    """Mean filter as scanners have it: over blocks of ``count`` scans, of the rays that came back.
 
-    For a robot that stands still: one that moves is smeared. Scans that do not fill a block are left out.
+    For a robot at rest: a moving one is smeared. Scans that do not fill a block are left out.
 
     Raises:
         ValueError: count is not from 1 to the number of scans.

@@ -1,4 +1,4 @@
-"""What a simulated 2D scanner sees: rays cast to plates and walls. Knows nothing of how a plate is found again."""
+"""A simulated 2D scanner: rays cast to plates and walls, independent of how a plate is found again."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ def simulate_scans(
     stray: float = 0.0,
     seed: int = 0,
 ) -> Scans:
-    """Scan moving plates before standing walls, ``scanner.rate`` times a second from t = 0.
+    """Scan moving plates in front of fixed walls, ``scanner.rate`` times a second from t = 0.
 
     Args:
-        scanner: its field, noise, resolution and reach; what lies nearer or farther gives no range.
+        scanner: its field, noise, resolution and limits of the range, outside of which there is none.
         plates: of each, the poses (n, 3) of its centre and direction in the scanner's frame, and its width [m]. Poses
-            (n, m, 3) tell where it is when each of the m rays meets it, for a plate that moves during a scan.
+            (n, m, 3): one for each of the m rays, for a plate that moves during a scan.
         walls: opaque, as the plates are.
-        dropouts: share of the rays that fail.
-        stray: share of the rays that return from anywhere on their way.
+        dropouts: share of rays without a range.
+        stray: share of rays that return from anywhere along the ray.
         seed: of the noise.
 
     Raises:

@@ -1,4 +1,4 @@
-"""From sightings of the plate to poses of the robot: which way round it stands, base_link's frame, means over scans."""
+"""From sightings of the plate to poses of the robot: which face is seen, base_link's frame, means over scans."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from skidsteer.se2 import FloatArray
 
 RATE = 25.0  # [Hz] of the poses of a drive: faster scans are averaged
 NEIGHBOURS = 2  # sightings before and after that must be near
-TOP_SPEED = 3.0  # [m/s] of the robot; a sighting that would need more is of something else
-BRIDGE = 1.5  # [s] without a sighting over which the yaw rate before it is held
+TOP_SPEED = 3.0  # [m/s] of the robot; a sighting that would need more is of another object
+BRIDGE = 1.5  # [s] without a sighting over which the yaw rate before it is extrapolated
 BASELINE = 0.3  # [s] over which that rate is taken
-CLEAR = 5.0  # sigmas by which rolling one way must explain the motion better than rolling the other way
-ALIKE = 0.5  # correlation of rolling and moving below which nothing can be told
-STEEP = 0.2  # sine of the angle from the plate at which a side of the robot can still be told
+CLEAR = 5.0  # sigmas by which one orientation must explain the motion better than the other
+ALIKE = 0.5  # least correlation of rolling and moving that decides
+STEEP = 0.2  # least sine of the angle between plate and line of sight at which a side of the robot decides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Poses of base_link in the scanner's frame; where the plate was not seen there are none."""
+    """Poses of base_link in the scanner's frame, where the plate was seen."""
 
     t: FloatArray  # (k,) [s]
     pose: FloatArray  # (k, 3) x, y [m], yaw [rad], continuous within a stretch
     parts: FloatArray  # (k, 2, 3, 3) of the covariance; see `Sightings`
-    stretch: IntArray  # (k,) numbered from 0; between two of them the plate was out of sight for long
+    stretch: IntArray  # (k,) numbered from 0; a long time out of sight ends a stretch
     notes: tuple[str, ...] = ()  # what was left out, for the user
 
     @property
@@ -51,7 +51,7 @@ class Track:
         return Track(self.t[inside], self.pose[inside], self.parts[inside], self.stretch[inside])
 
     def turned(self, start: float, end: float) -> float:
-        """Rotation [rad] between two times [s], Wang 2015, Eq. (36); full turns count.
+        """Rotation [rad] between two times [s], Wang 2015, Eq. (36), full turns included.
 
         Raises:
             DataError: the plate was out of sight at one of them or for long between them.
@@ -70,15 +70,16 @@ def track_plate(
     """Poses of the robot from scans of the plate on it.
 
     Args:
-        scans: of one scanner that stands still; several lots where it changed its bearings.
-        plate: on the robot. Its ``side`` tells which way round it is seen first.
-        wheels: (n, 2) v_left, v_right [m/s] on the clock of the scans. Where the side is not told, and where the plate
-            was out of sight for more than ``BRIDGE``, the way the robot rolls decides.
-        rate: [Hz] scans are averaged to about this rate; infinity: not at all.
+        scans: of one scanner at rest; several groups where it changed its bearings.
+        plate: on the robot. Its ``side`` decides which face is seen at first.
+        wheels: (n, 2) v_left, v_right [m/s] on the clock of the scans. They decide where the side is not given, and
+        after
+            the plate was out of sight for more than ``BRIDGE``.
+        rate: [Hz] to about which scans are averaged; infinity: not at all.
 
     Raises:
         DataError: the plate is seen in no scan.
-        RequestError: nothing tells which way round the plate is seen.
+        RequestError: nothing decides which face of the plate is seen.
     """
     found = find_plate(scans, plate.width)
     near = _near_neighbours(found)
@@ -93,7 +94,7 @@ def track_plate(
 
 
 def _near_neighbours(found: Sightings) -> BoolArray:
-    """Whether each sighting (k,) is where a robot could be, by the median of those around it."""
+    """Whether a robot could be where each sighting (k,) is, by the median of those around it."""
     around = np.lib.stride_tricks.sliding_window_view(
         np.pad(np.column_stack([found.t, found.pose[:, :2]]), ((NEIGHBOURS, NEIGHBOURS), (0, 0)), mode="edge"),
         2 * NEIGHBOURS + 1,
@@ -105,10 +106,10 @@ def _near_neighbours(found: Sightings) -> BoolArray:
 
 
 def _followed(t: FloatArray, direction: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Directions (k,), known up to half turns, made continuous; and the stretch each belongs to.
+    """Directions (k,), known up to half turns, made continuous; and the stretch of each.
 
-    A gap of more than ``BASELINE`` is bridged by the yaw rate before it; where it is too long for that, or what is seen
-    behind it is more than an eighth of a turn off, a new stretch begins.
+    A gap of more than ``BASELINE`` is bridged by the yaw rate before it; where it is longer than ``BRIDGE``, or the
+    direction after it is more than an eighth of a turn off, a new stretch begins.
     """
     steps, gaps = wrap_direction(np.diff(direction)), np.diff(t)
     ends = np.zeros(len(t), dtype=np.int64)
@@ -122,7 +123,7 @@ def _followed(t: FloatArray, direction: FloatArray) -> tuple[FloatArray, IntArra
 
 
 def _oriented(track: Track, plate: Plate, wheels: Series | None) -> tuple[Track, list[str]]:
-    """The same track the right way round, without the stretches for which nothing tells it, and a note on those."""
+    """The track with the right face, without the stretches for which nothing decides it, and a note on those."""
     turns = [_half_turn(track.stretch_of(k), plate, wheels, k == 0) for k in range(track.stretch[-1] + 1)]
     known = np.array([turn is not None for turn in turns])[track.stretch]
     if not known.any():
@@ -138,7 +139,7 @@ def _oriented(track: Track, plate: Plate, wheels: Series | None) -> tuple[Track,
 
 
 def _half_turn(track: Track, plate: Plate, wheels: Series | None, is_first: bool) -> int | None:
-    """Whether a stretch must be turned by half a turn, 0 or 1; None where nothing tells."""
+    """Whether a stretch must be turned by half a turn, 0 or 1; None where nothing decides."""
     if is_first and plate.side is not None:
         towards = float(se2.rotate(track.pose[0, 2], SIDES[plate.side]) @ -track.pose[0, :2])
         towards /= float(np.hypot(*track.pose[0, :2]))
@@ -149,7 +150,7 @@ def _half_turn(track: Track, plate: Plate, wheels: Series | None, is_first: bool
 
 
 def _rolled_backwards(track: Track, plate: Plate, wheels: Series) -> int | None:
-    """1 where the wheels tell that the robot stands the other way round, 0 that it does not, None where neither."""
+    """1 where, by the wheels, the robot stands the other way round, 0 where not, None where they do not decide."""
     at = np.unique(np.searchsorted(track.t, np.arange(track.t[0], track.t[-1], BASELINE)))
     rolled = np.diff(np.interp(track.t[at], wheels.t, _rolled(wheels)))
     moved = []
@@ -172,7 +173,7 @@ def _rolled(wheels: Series) -> FloatArray:
 
 
 def _base(pose: FloatArray, plate: Plate) -> FloatArray:
-    """Poses (k, 3) of base_link where those given hold its yaw at the place of the plate's centre."""
+    """Poses (k, 3) of base_link from its yaw and the position of the plate's centre."""
     return se2.compose(pose, [-plate.x, -plate.y, 0.0])
 
 
@@ -184,7 +185,7 @@ def _in_base(track: Track, plate: Plate) -> Track:
 
 
 def _averaged(track: Track, rate: float) -> Track:
-    """Means over as many scans as bring their rate closest to ``rate`` [Hz]; noise shrinks by it."""
+    """Means over as many scans as bring their rate closest to ``rate`` [Hz], with less noise."""
     step = float(np.median(np.diff(track.t))) if len(track.t) > 1 else 1.0
     count = round(1.0 / (rate * step))
     if count <= 1:

@@ -1,1 +1,1 @@
-"""Plans: known manoeuvres to wheel commands, and where they lead. Giannoccaro 2015, section V."""
+"""Plans: wheel commands for known manoeuvres, and where they lead. Giannoccaro 2015, section V."""

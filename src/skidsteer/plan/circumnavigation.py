@@ -1,7 +1,7 @@
 """Round a rectangular obstacle on two straights and two half circles: Giannoccaro 2015, section V, with any model.
 
-The frame is that of the robot at its start, at the beginning of the first straight. The obstacle stands where the
-expected course lies symmetrically about it: half a round turns by half a turn about a point, which is its middle.
+The frame is that of the robot at its start, at the beginning of the first straight. The obstacle is placed where the
+expected course is symmetric about it: half a lap is a rotation by half a turn about a point, the obstacle's centre.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from skidsteer.se2 import FloatArray, compose, rotate
 from skidsteer.simulate import controller
 
 SURE = 0.95
-SPACING = 0.1  # [s] between the poses looked at, at most
+SPACING = 0.1  # [s] between the poses that are checked, at most
 TRIES = 20  # of radii
-CLOSE = 1e-4  # [m] by which the clearance may be missed
+CLOSE = 1e-4  # [m] tolerance of the clearance
 MOST_LAPS = 100
 LONGEST = 3600.0  # [s] of a plan
 
@@ -37,15 +37,15 @@ class Request:
     """What is to be driven.
 
     Raises:
-        RequestError: a number that cannot be.
+        RequestError: an impossible number.
     """
 
     obstacle: Rectangle  # the straights run along its longer side
-    clearance: float  # [m] that the outline of the robot keeps off it
+    clearance: float  # [m] between the outline of the robot and the obstacle
     speed: float  # [m/s] on the straights
     curve_speed: float | None = None  # [m/s] on the arcs; None: the same
     radius: float | None = None  # [m] of the arcs; None: the least that keeps the clearance
-    side: str = "left"  # that the robot turns to, and has the obstacle on
+    side: str = "left"  # to which the robot turns; the obstacle lies on it
     laps: int = 1
 
     def __post_init__(self) -> None:
@@ -70,13 +70,13 @@ class Request:
 
     @property
     def breadth(self) -> float:
-        """Of the obstacle across them [m]."""
+        """Width [m] of the obstacle across them."""
         return min(self.obstacle.length, self.obstacle.width)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A course round an obstacle, and what to expect of it."""
+    """A course round an obstacle, and its forecast."""
 
     driver: Driver
     request: Request
@@ -87,12 +87,12 @@ class Plan:
 
     @property
     def obstacle(self) -> Rectangle:
-        """As it stands, its longer side along the straights."""
+        """Its longer side along the straights."""
         return Rectangle(self.request.straight, self.request.breadth, "obstacle")
 
     @property
     def radius(self) -> float:
-        """[m] of the arcs that were asked for."""
+        """[m] of the arcs as requested."""
         arc = self.stretches[1]
         return abs(arc.v / arc.omega)
 
@@ -103,7 +103,7 @@ class Plan:
 
     @property
     def commands(self) -> Series:
-        """Speeds v [m/s] and omega [rad/s] (n, 2) that make the robot's controller turn its rims as planned."""
+        """Speeds v [m/s] and omega [rad/s] (n, 2) for which the robot's own controller commands these rim speeds."""
         rims = self.rims
         return Series(rims.t, controller(self.driver.vehicle).twist(*rims.values.T)[:, [0, 2]], "commands")
 
@@ -114,16 +114,16 @@ class Plan:
 
     @property
     def gaps(self) -> FloatArray:
-        """Expected distance (n,) [m] of the outline from the obstacle, at each pose expected."""
+        """Expected distance (n,) [m] between outline and obstacle, at each expected pose."""
         return gap(self.robot, self.expected.path.values, self.obstacle, self.place)
 
     @property
     def sure_gap(self) -> float:
-        """Distance [m] that ``SURE`` of all robots keep at the place where that is least, by all that is uncertain."""
+        """Distance [m] that is kept with probability ``SURE`` at the pose where that is least."""
         return float((self.gaps - self._margin(self.expected.covariances)).min())
 
     def _margin(self, covariances: FloatArray) -> FloatArray:
-        """How much nearer (n,) [m] the outline may come."""
+        """By how much (n,) [m] the outline may come nearer."""
         slope = gap_slope(self.robot, self.expected.path.values, self.obstacle, self.place)
         variance = self.driver.regions.scale * np.einsum("ni,nij,nj->n", slope, covariances, slope)
         return np.asarray(np.sqrt(variance) * student.ppf(SURE, self.driver.regions.dof))
@@ -140,7 +140,7 @@ class Plan:
 
     @property
     def end_ellipse(self) -> FloatArray:
-        """Points (n, 2) [m] on the border of the region that ``SURE`` of all ends lie in."""
+        """Points (n, 2) [m] on the border of the region that holds ``SURE`` of all ends."""
         regions = self.driver.regions
         reach = math.sqrt(2.0 * regions.scale * fisher.ppf(SURE, 2, regions.dof))
         angle = np.linspace(0.0, 2.0 * np.pi, 73)
@@ -150,19 +150,16 @@ class Plan:
 
     @property
     def misses(self) -> FloatArray:
-        """By how much (3,) the rounded commands miss the start in the end, lag left aside: ahead, left [m], yaw [rad].
+        """By how much (3,) the rounded commands miss the start in the end, without lag: ahead, left [m], yaw [rad].
 
-        0 where the robot takes any speed, but for a model that is not the same straight on.
+        0 without rounding, unless the model does not drive straight.
         """
-        return self._short(poses_of(self.stretches)[-1])
-
-    def _short(self, end: FloatArray) -> FloatArray:
         turned = 2.0 * np.pi * self.request.laps * (1.0 if self.request.side == "left" else -1.0)
-        return np.asarray(end - [0.0, 0.0, turned])
+        return np.asarray(poses_of(self.stretches)[-1] - [0.0, 0.0, turned])
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to know about it."""
+        """Warnings for the user."""
         keeps = self.sure_gap
         notes = []
         if keeps <= 0.0:
@@ -179,13 +176,13 @@ def circumnavigate(driver: Driver, request: Request, robot: Rectangle | None = N
     """Plan a course round an obstacle.
 
     Args:
-        driver: who drives.
-        request: what.
+        driver: the robot and its model.
+        request: what is to be driven.
         robot: its outline; None: the outer edges of its wheels.
 
     Raises:
-        RequestError: a radius that does not keep the clearance, speeds or arcs that the robot cannot do, or a
-            calibration that tells too little to keep clear at all.
+        RequestError: a radius that does not keep the clearance, speeds or arcs that the robot cannot drive, or a
+            calibration that leaves too much open to keep clear at all.
     """
     robot = robot or footprint(driver.vehicle)
     plan_at = partial(_plan, driver, request, robot)
@@ -234,7 +231,7 @@ def _plan(driver: Driver, request: Request, robot: Rectangle, radius: float) -> 
 
 
 def _place(straight: Stretch, arc: Stretch) -> FloatArray:
-    """Pose (3,) of what the course is symmetric about, were its straights straight."""
+    """Pose (3,) of the centre of symmetry of the course, as if its straights were straight."""
     along = float(np.arctan2(straight.twist[1], straight.twist[0]))
     ahead = straight.amount * np.array([np.cos(along), np.sin(along), 0.0])
     half = compose(ahead, arc.motion)
@@ -242,7 +239,7 @@ def _place(straight: Stretch, arc: Stretch) -> FloatArray:
 
 
 def _refuse_open(plan: Plan) -> None:
-    """Refuse a calibration of which parts that it does not know take all of the clearance."""
+    """Refuse a calibration whose undetermined parameters alone use up the clearance."""
     if plan.driver.open and (plan.gaps - plan._margin(plan.expected.of_parameters)).min() <= 0.0:
         raise RequestError(
             f"the calibration does not determine {', '.join(plan.driver.open)}: by that alone the robot may run into"

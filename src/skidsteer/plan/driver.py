@@ -1,4 +1,4 @@
-"""Who drives a plan: the robot, its motion model and how sure that is, and the integers that it takes."""
+"""What drives a plan: the robot, its motion model with its uncertainty, and its integer commands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NORMAL = Regions(1.0, 1e6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driver:
-    """What is known of a robot: its model, how sure that is, and the integers that it takes."""
+    """A robot, its motion model with its uncertainty, and its integer commands."""
 
     vehicle: Vehicle
     model: Model
@@ -34,7 +34,7 @@ class Driver:
         """By a calibration."""
         names = [*calibration.parameters, "", "lag"]  # a time offset does not matter
         at = [calibration.names.index(n) if n in calibration.names else -1 for n in names]
-        padded = np.pad(calibration.covariance, (0, 1))  # what was given is known exactly
+        padded = np.pad(calibration.covariance, (0, 1))  # what is not estimated is known exactly
         return cls(
             calibration.vehicle,
             calibration.model,
@@ -47,5 +47,5 @@ class Driver:
 
     @classmethod
     def of_circles(cls, table: SlipTable, vehicle: Vehicle) -> Driver:
-        """By the slip ratios of circle runs, which tell neither lag nor noise: that is assumed."""
+        """By the slip ratios of circle runs, which tell neither lag nor noise: these are assumed."""
         return cls(vehicle, table, Uncertainty(Noise(), np.zeros((2, 2))), encoding=ENCODINGS.get(vehicle.name))

@@ -1,4 +1,4 @@
-"""Integers that a robot takes for the speeds of its sides."""
+"""Integer commands for the speeds of both sides."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Encoding:
         """The integers whose speeds are nearest to rim speeds (2,) [m/s].
 
         Raises:
-            RequestError: a speed that none of them stands for.
+            RequestError: a speed out of their range.
         """
         k = [round((float(v) - self.offset) / self.slope) for v in rims]
         for i, v, side in zip(k, rims.tolist(), ("left", "right"), strict=True):

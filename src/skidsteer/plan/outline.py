@@ -1,4 +1,4 @@
-"""Outlines: rectangles in the plane, and how far they are apart."""
+"""Outlines: rectangles in the plane, and the distance between them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from skidsteer.vehicle import Vehicle
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
-    """A robot or an obstacle seen from above; the origin of its frame is its middle.
+    """A robot or an obstacle seen from above; the origin of its frame is its centre.
 
     Raises:
         RequestError: a side that is not a positive length.
@@ -46,7 +46,7 @@ class Rectangle:
 
 
 def footprint(vehicle: Vehicle) -> Rectangle:
-    """Outer edges of the wheels, each a wheel radius wide; a wheel base that is not known is taken for the track."""
+    """Outer edges of the wheels, each a wheel radius wide; an unknown wheel base is taken as the track width."""
     base = vehicle.wheel_base if vehicle.wheel_base is not None else vehicle.track_width
     return Rectangle(base + 2.0 * vehicle.wheel_radius, vehicle.track_width + vehicle.wheel_radius, "footprint")
 
@@ -54,7 +54,7 @@ def footprint(vehicle: Vehicle) -> Rectangle:
 def gap(robot: Rectangle, poses: ArrayLike, obstacle: Rectangle, place: ArrayLike) -> FloatArray:
     """Distance (...) [m] from a robot at poses (..., 3) to an obstacle at a pose (3,).
 
-    Where the two overlap it is negative: how far they must be parted, at least.
+    Where the two overlap it is negative: the least distance by which they would have to be moved apart.
     """
     there = between(np.asarray(place, dtype=float), poses)
     back = invert(there)
@@ -74,7 +74,7 @@ def _beyond(there: FloatArray, robot: Rectangle, obstacle: Rectangle) -> FloatAr
 
 
 def _from(corners: FloatArray, rectangle: Rectangle) -> FloatArray:
-    """Distance (...) of the nearest of corners (..., 4, 2) from a rectangle at the origin."""
+    """Least distance (...) of corners (..., 4, 2) from a rectangle at the origin."""
     out = np.maximum(np.abs(corners) - rectangle.half, 0.0)
     return np.asarray(np.hypot(out[..., 0], out[..., 1]).min(axis=-1))
 

@@ -1,4 +1,4 @@
-"""A plan as a picture: obstacle, expected course, the robot at stations, and where it ends."""
+"""A plan as a picture: obstacle, expected course, outlines of the robot, and the region of its end."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def draw(plan: Plan) -> str:
 
 
 def _robots(plan: Plan, outlines: FloatArray, place: Place) -> list[str]:
-    """Outlines at the begin of each stretch of the first lap and between, and at the end."""
+    """Outlines in each stretch of the first lap, and at the end."""
     t, first = plan.expected.path.t, list(zip(plan.starts.tolist(), plan.stretches, strict=True))[:4]
     times = [begin + share * s.duration for begin, s in first for share in np.arange(STATIONS) / STATIONS]
     at = [*np.searchsorted(t, times).tolist(), len(t) - 1]

@@ -1,8 +1,8 @@
 """The slips of circle runs as a motion model for planning: Giannoccaro 2015, Eqs. (13)-(15).
 
 The paper plans with the slipping ratio K_s of the circle test nearest to the arc. Here K_s and the slip of the outer
-side are interpolated between the runs over the curvature, down to a straight, on which nothing slips: then a plan has
-one motion for each pair of rim speeds, as a model has. It knows forward motion only, and no arc tighter than the runs.
+side are interpolated over the curvature between the runs, down to a straight, on which nothing slips. Each pair of rim
+speeds then has one motion, as in a model; forwards only, and on arcs no tighter than the runs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 @dataclass(frozen=True)
 class SlipTable(Model):
-    """Circle runs of one surface with speeds over ground, and the track width."""
+    """Circle runs on one surface, with speeds over ground, and the track width."""
 
     NAME: ClassVar[str] = "slip_ratio"
 
@@ -47,7 +47,7 @@ class SlipTable(Model):
                 raise RequestError(f"the circle runs that turn {side} contradict each other: wider arcs split more")
 
     def _of(self, side: Side) -> FloatArray:
-        """Rows of curvature [1/m], K_s and outer slip (n, 3), straight first; a straight alone where none turns so."""
+        """Rows (n, 3) of curvature [1/m], K_s and outer slip, beginning with the straight."""
         rows = [[0.0, 1.0, 0.0]]
         for run in self.runs:
             slips = run.slip_coefficients(self.track_width)
@@ -65,7 +65,7 @@ class SlipTable(Model):
         return (outer - inner) / (outer + inner), curvature, 2.0 / (outer + inner)
 
     def twist(self, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:
-        """Rim speeds (...) to twists (..., 3); NaN where the sides split more than in any run, or go backwards."""
+        """Twists (..., 3) of rim speeds (...); NaN where the sides differ more than in any run, or go backwards."""
         left, right = np.broadcast_arrays(np.asarray(v_left, dtype=float), np.asarray(v_right, dtype=float))
         total = left + right
         split = np.divide(right - left, total, out=np.zeros_like(total), where=total != 0.0)
@@ -93,7 +93,7 @@ class SlipTable(Model):
         """Rim speeds (..., 2) for v > 0 and omega, Eqs. (6), (14), (15): the planning of section V.
 
         Raises:
-            RequestError: backwards, or an arc that no run is as tight as.
+            RequestError: backwards, or an arc tighter than all runs.
         """
         pairs = np.stack(np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(omega, dtype=float)), axis=-1)
         rims = [self._rims(*pair) for pair in pairs.reshape(-1, 2).tolist()]

@@ -1,4 +1,4 @@
-"""Straight and curved stretches of a plan, each at rim speeds that are held."""
+"""Straights and arcs of a plan, each at constant rim speeds."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from skidsteer.se2 import FloatArray, chain, exp
 from skidsteer.vehicle import Vehicle
 
 PERIOD = 0.05  # [s] between commands, at most
-REST = 1.0  # [s] before and behind
+REST = 1.0  # [s] at rest before and after
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """A straight or an arc: what is wanted, what the rims are told, and what the model makes of that."""
+    """A straight or an arc: what is wanted, the rim speeds for it, and the motion they make by the model."""
 
     name: str
     v: float  # [m/s] wanted along the robot
     omega: float  # [rad/s] wanted
-    amount: float  # [m] of a straight, [rad] of an arc, that are to be done
-    asked: FloatArray  # (2,) [m/s] rim speeds that the model wants
-    rims: FloatArray  # (2,) [m/s] that the robot can do: those its integers stand for, or else the same
+    amount: float  # [m] length of a straight, [rad] angle of an arc
+    asked: FloatArray  # (2,) [m/s] rim speeds by the model
+    rims: FloatArray  # (2,) [m/s] the same, rounded to those of the integers if it takes integers
     k: tuple[int, int] | None  # left and right integer
     twist: FloatArray  # (3,) expected at ``rims``
 
@@ -38,23 +38,23 @@ class Stretch:
 
     @property
     def duration(self) -> float:
-        """[s] in which the rims do ``amount``: the length of a straight, or the turn of an arc."""
+        """[s] in which ``rims`` complete ``amount``."""
         rate = abs(self.twist[2]) if self.curved else np.hypot(*self.twist[:2])
         return float(self.amount / rate)
 
     @property
     def radius(self) -> float:
-        """[m] at which the robot passes what it turns about, by the rims that it can do; infinite on a straight."""
+        """[m] lateral distance of the centre of the turn at ``rims``; infinite on a straight."""
         return float(abs(self.twist[0] / self.twist[2])) if self.curved else float("inf")
 
     @property
     def length(self) -> float:
-        """[m] of the way of the origin."""
+        """[m] of the path of the origin."""
         return float(np.hypot(*self.twist[:2]) * self.duration)
 
     @property
     def motion(self) -> FloatArray:
-        """Motion (3,) from begin to end, in the frame of its begin, without lag."""
+        """Motion (3,) in the frame of its beginning, without lag."""
         return exp(self.twist * self.duration)
 
 
@@ -64,7 +64,7 @@ def stretch(
     """A stretch by a model, in integers where the robot takes those.
 
     Raises:
-        RequestError: speeds that the model, the wheels or the integers cannot do.
+        RequestError: speeds beyond the model, the wheels or the integers.
     """
     asked = model.wheel_speeds(v, omega)
     what = f"{v:.3g} m/s" + (f" on an arc of {abs(v / omega):.3f} m" if omega else " straight on")

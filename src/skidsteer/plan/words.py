@@ -1,4 +1,4 @@
-"""Plans from the words of a command line."""
+"""Plans from the options of the command line."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rectangle(word: str, name: str) -> Rectangle:
 def driver_of(
     calibration: str | os.PathLike[str] | None, circles: str | None, vehicle: str | None, profile: str | None
 ) -> Driver:
-    """Who drives: by a calibration file, or by the slip ratios of circle runs.
+    """The driver: by a calibration file, or by the slip ratios of circle runs.
 
     Args:
         calibration: its path.
