@@ -1,1 +1,1 @@
-"""Odometry: filters that turn wheel samples, and references where there are any, into a pose with its covariance."""
+"""Odometry: filters that turn wheel samples, and a reference where there is one, into a pose with its covariance."""

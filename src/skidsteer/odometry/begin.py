@@ -1,4 +1,4 @@
-"""Where a filter begins in a log: at the origin, or where the reference sees the robot."""
+"""The initial state of a filter in a log: at the origin, or where the reference sees the robot."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from skidsteer.se2 import FloatArray, chain, compose, invert
 from skidsteer.windows import Timing, Windows, predict
 
 HERE = np.diag([1e-6, 1e-6, 1e-6]) ** 2  # [m^2, m^2, rad^2] of a robot that begins at the origin by definition
-ANYWHERE = (100.0, 3.0)  # [m], [rad]: sigma of what the first references will tell
-ALIGNED = 0.3  # [rad] sigma of a heading found by alignment: near enough for a filter to take it from there
-STRETCH = 5.0  # [m] of path that positions are aligned over; one of less than a metre tells no heading
+ANYWHERE = (100.0, 3.0)  # [m], [rad]: sigma before the first reference is taken
+ALIGNED = 0.3  # [rad] sigma of a heading found by alignment: close enough to linearise
+STRETCH = 5.0  # [m] of path over which positions are aligned; less than a metre tells no heading
 
 
 def begin(filter: Filter, log: Log, model: Model, lag: float) -> FilterState:
     """A state at the first wheel stamp.
 
     Without a reference the robot begins at the origin. With one it begins where the model, run back from the first
-    reference, puts it, but as if it could be anywhere: what the references know is counted once, when they are taken.
-    Positions tell a heading by aligning the first ``STRETCH`` of them with the model's path.
+    reference, puts it, but with a covariance of ``ANYWHERE``: each reference counts once, when the filter takes it.
+    Positions give a heading by aligning the first ``STRETCH`` of them with the path of the model.
     """
     first = float(log.wheels.t[0])
     if log.reference is None:
@@ -44,13 +44,13 @@ def _path(log: Log, model: Model, lag: float, t: FloatArray) -> FloatArray:
 
 
 def _run_back(log: Log, model: Model, lag: float, t: FloatArray, seen: FloatArray) -> FloatArray:
-    """Pose (3,) at t[0] from the one that the reference tells at t[1]."""
+    """Pose (3,) at t[0] from that of the reference at t[1]."""
     mount = np.array([log.mount.x, log.mount.y, log.mount.yaw])
     return compose(compose(seen, invert(mount)), invert(_path(log, model, lag, t)[-1]))
 
 
 def _align(log: Log, model: Model, lag: float, t: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:
-    """Pose (3,) at t[0] that brings the path closest to the first positions (m, 2), and how far those reach [m]."""
+    """Pose (3,) at t[0] that brings the path closest to the first positions (m, 2), and the extent [m] of those."""
     away = np.hypot(*(seen - seen[0]).T)
     last = int(np.argmax(away > STRETCH)) if (away > STRETCH).any() else len(seen) - 1
     body = _path(log, model, lag, t[: last + 2])[1:]

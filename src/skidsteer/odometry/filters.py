@@ -24,18 +24,17 @@ def frozen(calibration: Calibration, gyro: bool) -> Filter:
 
 
 def thalmann(name: str, calibration: Calibration, gyro: bool) -> Filter:
-    """A filter of Thalmann 2016, which knows the nominal track width alone and follows the encoders closely.
+    """A filter of Thalmann 2016, which knows the nominal track width only and follows the encoders closely.
 
-    Its wander of the yaw does not tell a straight metre from one in a turn: all are taken for the latter.
-    It has no state for the bias of a gyro, which would count as turning: a gyro is left out.
-
-    Its test of the encoders is off: wheels that are measured less often than logged would fail at every step.
+    The random walk of its yaw does not distinguish straights from turns: all distance counts as turned. A gyro is left
+    out, as there is no state for its bias. The test of the encoders is off, since wheels that are measured less often
+    than logged would fail it at every step.
     """
     noise = SystemNoise(2.0, 2.0, 0.02, walk=calibration.noise.walk, turn=calibration.noise.turn)
     return replace(thalmann_filter(name, calibration.vehicle.track_width, noise), significance=0.0)
 
 
-KNOW_BIAS = ("icr", "frozen")  # filters that a gyro is told to
+KNOW_BIAS = ("icr", "frozen")  # filters that use a gyro
 # name -> a filter for a calibration, and for a drive with a gyro or without
 FILTERS: dict[str, Callable[[Calibration, bool], Filter]] = {
     "icr": icr,

@@ -1,21 +1,21 @@
-"""Ours: a filter over any calibrated model whose parameters are states, so that it follows the ground.
+"""A filter of our own, over any calibrated model, whose parameters are states, so that it follows the ground.
 
 States: pose of base_link, the parameters that the calibration found (five for the ICR model), and with a gyro its bias.
 
-- *Motion*: the calibrated model, exact on SE(2), driven by rim speeds behind the calibrated lag. The lag is a filter of
-  known numbers, so that its two speeds are memory and no random states: what the rims do beside it is motion noise.
-  The noise is the calibration's: a random walk of position and yaw with the distance rolled. At rest nothing grows.
-- *Parameters* wander with the distance rolled, about the best estimate: their variance grows at first by
-  2 variation^2 / reach a metre, and never beyond that of the calibration plus variation^2. So they keep what they have
-  learnt for as long as no reference corrects them (a Gauss-Markov process whose centre is the estimate).
-- *A gyro* measures the turn of each step itself, noise of the wheels included, beside its bias.
-- *References* are gated by chi-square. One that is refused ``patience`` times in a row, but moves as the wheels say in
-  between, has jumped: the pose is set to it, the parameters stay. One that jumps again ``soon``, or that is refused
-  ``lost`` times in a row whatever it does, tells of another ground: the pose is set to it, and the parameters have at
-  once all the variance that they may come to have.
+- *Motion*: the calibrated model, exact on SE(2), driven by rim speeds behind the calibrated lag. The two lagged speeds
+  are deterministic, so that they are memory and not states. The noise is that of the calibration: a random walk of
+  position and yaw with the distance rolled. At rest nothing grows.
+- *Parameters* follow a Gauss-Markov process over the distance rolled, whose centre is the estimate: their variance
+  grows at first by 2 variation^2 / reach a metre, and never beyond that of the calibration plus variation^2, while the
+  estimate stays until a reference corrects it.
+- *A gyro* measures the true turn of each step, noise of the wheels included, and its bias.
+- *References* are gated by chi-square. One that is refused ``patience`` times in a row, but moves as the wheels do in
+  between, has jumped: the pose is set to it, the parameters stay. One that jumps again ``soon``, or is refused ``lost``
+  times in a row however it moves, indicates another ground: the pose is set to it, and the parameters get their full
+  variance at once.
 - *Gaps* of more than a second in the wheels: the pose stays, its variance grows by (1 m)^2 and (1 rad)^2 a second.
-- *At rest*: rims that stand still add no noise, so that a gyro tells its bias there; ``Standstill`` says that the body
-  rests whatever the rims do.
+- *At rest*: rims that stand still add no noise, so that the bias of a gyro is observed there; ``Standstill`` says that
+  the body rests whatever the rims do.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ from skidsteer.odometry.state import (
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import MAX_GAP
 
-GAP_WALK, GAP_TURN = 1.0, 1.0  # [m/sqrt(s)], [rad/sqrt(s)] what may happen while nothing is known of the wheels
+GAP_WALK, GAP_TURN = 1.0, 1.0  # [m/sqrt(s)], [rad/sqrt(s)] random walk while nothing is known of the wheels
 
 
 @dataclass(frozen=True, slots=True)
 class FilterOptions:
-    """How the filter takes what it is told; the defaults are meant to stay."""
+    """Tuning; the defaults are meant to stay."""
 
-    adapt: bool = True  # False: references and gyro correct the pose only, the parameters stay as calibrated
+    adapt: bool = True  # False: references and gyro correct the pose only; the parameters stay
     variation: float = 0.03  # of a parameter from ground to ground, as a share of the width of its bounds (1 sigma)
-    reach: float = 1000.0  # [m] rolled over which the parameters wander on one ground
-    confidence: float = 0.999  # share of right measurements that the gates let pass
-    patience: int = 5  # refusals in a row, agreeing with each other, after which the pose is set to the reference
-    lost: int = 15  # refusals in a row after which it is set whatever they say
+    reach: float = 1000.0  # [m] rolled, correlation length of the parameters on one ground
+    confidence: float = 0.999  # share of correct measurements that pass the gates
+    patience: int = 5  # consistent refusals in a row after which the pose is set to the reference
+    lost: int = 15  # refusals in a row after which it is set in any case
     soon: int = 20  # updates after a jump in which a second one counts as a change of the ground
     bias_sigma: float = 0.02  # [rad/s] of the gyro's bias at the start
     bias_walk: float = 1e-4  # [rad/s/sqrt(s)] of the gyro's bias
@@ -137,7 +137,7 @@ class IcrFilter:
         Args:
             time: [s] on the clock of the wheels.
             pose: (3,) of base_link.
-            covariance: (3, 3) of the pose; None: it is where it begins, to a micrometre.
+            covariance: (3, 3) of the pose; None: known to a micrometre.
 
         Raises:
             DataError: a covariance that is not positive definite, or numbers that are not finite.
@@ -174,13 +174,13 @@ class IcrFilter:
         return FilterState(self.fingerprint, state.time + dt, mean, P, memory)
 
     def hold(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
-        """See ``Filter.hold``: here a sample is what is held, and tells nothing else."""
+        """See ``Filter.hold``: a sample is an input, not an observation, so that this is ``predict``."""
         return self.predict(state, wheels, dt)
 
     def update(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
         """The state with a measurement that holds at the state's time; see ``Filter.update``.
 
-        A yaw rate is the mean over the last step, and must be told right after it.
+        A yaw rate is the mean over the last step, and must be given right after it.
         """
         refuse_foreign(state, self.fingerprint)
         if not abs(measurement.time - state.time) <= SAME_TIME:

@@ -1,8 +1,8 @@
 """Two phases, Thalmann 2016, section 3.2: calibrate while a total station sees the robot, then reckon without it.
 
-In the first phase the slip parameters are states of the filter, which positions alone correct; where the robot heads at
-the beginning, how late the positions are and how much they scatter is found by maximum likelihood of the very same
-filter. In the second phase they are constants, and the wheels are all there is.
+In the first phase the slip parameters are states of the filter, corrected by positions alone; initial heading, delay of
+the positions and noise are found by maximum likelihood of the same filter. In the second phase the slips are constants,
+and the wheels are all there is.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from skidsteer.odometry.state import FilterState
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
 from skidsteer.se2 import FloatArray, rotate
 
-HEADINGS = 8  # first headings that are tried all around, each with half the way to the next as its sigma
-OFFSETS = np.arange(-0.3, 1.25, 0.15)  # [s] tried for the delay of the positions
-FIRST_NOISE = np.log([0.1, 0.03, 0.02])  # stamps [s], walk [m/sqrt(m)], turn [rad/sqrt(m)], where the search begins
+HEADINGS = 8  # initial headings that are tried, each with half the step to the next as its sigma
+OFFSETS = np.arange(-0.3, 1.25, 0.15)  # [s] delays of the positions that are tried
+FIRST_NOISE = np.log([0.1, 0.03, 0.02])  # stamps [s], walk [m/sqrt(m)], turn [rad/sqrt(m)]: start of the search
 LIMITS = np.log([1e-4, 1.0])  # of the search
-ROUNDS = 2  # of linearising anew
-LEAST_TRAVEL = 1.0  # [m] seen, below which nothing can be calibrated
+ROUNDS = 2  # of relinearisation
+LEAST_TRAVEL = 1.0  # [m] seen that a calibration needs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InField:
-    """What the first phase found."""
+    """Result of the first phase."""
 
-    filter: KinematicEkf  # that estimated
+    filter: KinematicEkf
     replay: Replay
 
     @property
@@ -48,7 +48,7 @@ class InField:
 
     @property
     def reckoner(self) -> KinematicEkf:
-        """The same filter with the slips found as constants: that of the second phase."""
+        """The filter of the second phase: the same with the slips as constants."""
         return frozen(self.filter, {name: e.value for name, e in self.slips.items()})
 
 
@@ -62,13 +62,13 @@ def frozen(filter: KinematicEkf, slips: dict[str, float]) -> KinematicEkf:
 def start_on_track(
     filter: KinematicEkf, wheels: Series, tracking: Tracking, known: FilterState | None = None
 ) -> FilterState:
-    """The state at the first position that wheels accompany, with the heading under which the track is likeliest.
+    """The state at the first position within the wheel samples, with the most likely heading.
 
     Args:
-        filter: whose state it is to be.
+        filter: of the state.
         wheels: (n, 2) rim speeds [m/s].
         tracking: positions.
-        known: a state of the filter from an earlier drive, whose slips are taken over.
+        known: a state from an earlier drive, whose slips are taken over.
 
     Raises:
         DataError: wheels and positions share no time, or the robot is not seen to move.
@@ -78,7 +78,7 @@ def start_on_track(
 
 
 def _starts(filter: KinematicEkf, wheels: Series, tracking: Tracking, known: FilterState | None) -> list[FilterState]:
-    """States that head all around."""
+    """States with headings all around."""
     if not _seen_to_move(wheels, tracking):
         raise DataError(f"the positions do not show the robot moving by {LEAST_TRAVEL} m while wheels were recorded")
     first = int(np.searchsorted(tracking.t, wheels.t[0]))
@@ -103,14 +103,14 @@ def calibrate_in_field(
 ) -> InField:
     """The first phase: estimate the slips of a filter while the robot is seen.
 
-    The filter linearises about what it knows, which is little at the beginning: it is run again with the same
-    uncertainty about the slips that it found and the first heading that makes the track likeliest.
+    The filter linearises about its estimate, which is poor at the beginning: it is run again, linearised about the
+    slips found and the most likely initial heading, with the same prior covariance.
 
     Args:
         filter: with ``estimated`` slips.
         wheels: (n, 2) rim speeds [m/s].
         tracking: positions, with what is known of their noise and delay (see ``tune``).
-        known: the state at the end of an earlier drive, to go on from its slips.
+        known: the state at the end of an earlier drive, to continue from its slips.
 
     Raises:
         DataError: wheels and positions share no time, or the robot is not seen to move.
@@ -126,7 +126,7 @@ def calibrate_in_field(
 def _about(
     filter: KinematicEkf, start: FilterState, slips: FloatArray, wheels: Series, tracking: Tracking
 ) -> FilterState:
-    """The same start, linearised about slips and the likeliest first heading."""
+    """The same start, linearised about slips and the most likely initial heading."""
     yaw, half = float(start.mean[2]), np.pi / HEADINGS
     target = start.mean[:2] + rotate(yaw, tracking.lever)
 
@@ -141,7 +141,7 @@ def _about(
 
 
 def calibrate_around(filter: KinematicEkf, wheels: Series, tracking: Tracking, start: float, end: float) -> InField:
-    """The first phase on what was seen before and after a time from start to end [s], as two drives.
+    """The first phase on what was seen before ``start`` and after ``end`` [s], as two drives.
 
     Raises:
         DataError: the robot is seen to move neither before nor after it.
@@ -156,12 +156,12 @@ def calibrate_around(filter: KinematicEkf, wheels: Series, tracking: Tracking, s
 
 
 def tune(filter: KinematicEkf, wheels: Series, tracking: Tracking) -> tuple[KinematicEkf, Tracking]:
-    """Delay and scatter of the stamps and wandering of the pose by which the track is likeliest.
+    """Maximum-likelihood delay and scatter of the stamps, and random walk of the pose.
 
     Args:
-        filter: its ``noise.walk`` and ``noise.turn`` are found.
+        filter: its ``noise.walk`` and ``noise.turn`` are estimated.
         wheels: (n, 2) rim speeds [m/s].
-        tracking: its ``time_offset`` and ``stamp_sigma`` are found; ``sigma`` is kept.
+        tracking: its ``time_offset`` and ``stamp_sigma`` are estimated; ``sigma`` is kept.
 
     Raises:
         DataError: wheels and positions share no time, or the robot is not seen to move.

@@ -10,7 +10,7 @@ Time update. With s = v dt, h = omega dt / 2 and the geometry of ``reckoning`` (
     polygon:   x += s cos(yaw),           y += s sin(yaw),           yaw += 2 h
     arc:       x += s k cos(yaw + h),     y += s k sin(yaw + h),     yaw += 2 h
 
-while m and slips stay. With (c, z) the cosine and sine of the path's heading, k = 1 and k' = 0 for the polygon,
+while m and slips stay. With (c, z) the cosine and sine of the heading of the chord, k = 1 and k' = 0 for the polygon,
 k' = dk/dh for the arc, the rows of F - I are
 
     by yaw           -s k z,   s k c,   0
@@ -18,8 +18,8 @@ k' = dk/dh for the arc, the rows of F - I are
 
 where the terms + k c dh and - k z dh, the turn of the chord, are those of the arc alone. The disturbance accelerations
 a are constant through a step: m += a dt, and the pose moves as with m + a dt / 2, so that the system noise is
-G diag(sigma_a^2) G' with G = dt [(F - I)_m / 2; 1]. Slip parameters may wander, and so may the pose with the distance
-rolled (neither is Thalmann's).
+G diag(sigma_a^2) G' with G = dt [(F - I)_m / 2; 1]. The slip parameters may follow a random walk in time, and the pose
+one with the distance rolled (neither is Thalmann's).
 
 Observations. The encoders pass the compatibility test first, Eq. (10) (``reference_update``). Where T is above its
 threshold the observation goes whose exclusion lowers T the most, by (D^-1 d)_i^2 / (D^-1)_ii, and the rest is tested
@@ -27,8 +27,7 @@ again. What is excluded once may be an outlier; what is excluded again and again
 d^2 / (threshold patience) to the variance of its motion parameter, so that a constant disagreement is believed after
 ``patience`` samples. An infinite patience is the paper's filter.
 
-Wheel speeds are held from sample to sample everywhere in this package, so a sample is taken into the state first, then
-time advances with it.
+Since rim speeds are held from sample to sample, a sample is taken into the state first, then time advances with it.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ from skidsteer.se2 import FloatArray
 Path = Literal["polygon", "arc"]
 Dynamics = tuple[FloatArray, bool, FloatArray, FloatArray, float, FloatArray, FloatArray, FloatArray]
 SLIPS = tuple(p.name for p in TransferFactor.PARAMETERS)
-PRIOR = {"slip_left": 0.1, "slip_right": 0.1, "efficiency": 0.4}  # what is known of a skid-steer robot before a drive
+PRIOR = {"slip_left": 0.1, "slip_right": 0.1, "efficiency": 0.4}  # sigmas of any skid-steer robot before a drive
 START_SPEED = 1.0  # [m/s] standard deviation of each rim's speed before the first sample
 
 
@@ -60,16 +59,16 @@ class KinematicEkf:
     """One of Thalmann's filters; see the module. It is a ``skidsteer.odometry.state.Filter``.
 
     Raises:
-        RequestError: an unknown state choice, geometry or slip parameter, a significance or patience that is none.
+        RequestError: an unknown state choice, geometry or slip parameter, an impossible significance or patience.
     """
 
-    model: TransferFactor  # the slips that are not estimated, and the first guess of those that are
+    model: TransferFactor  # slips that are not estimated, and initial values of those that are
     choice: Choice = "speed_difference"
     geometry: Path = "polygon"
     estimated: tuple[str, ...] = ()  # slip parameters in the state
     noise: SystemNoise = field(default_factory=SystemNoise)
     significance: float = 0.001  # of the compatibility test of the encoders; 0: take all
-    patience: float = 5.0  # samples after which a lasting disagreement is believed
+    patience: float = 5.0  # samples after which a constant disagreement is believed
     gate: float = 0.0  # significance at which reference and gyro are gated; 0: take all
     fingerprint: str = field(init=False, repr=False, compare=False)  # name and hash of all of the above
     dynamics: Dynamics = field(init=False, repr=False, compare=False)  # constants of ``kernels.thalmann.advance``
@@ -115,20 +114,20 @@ class KinematicEkf:
         return ("x", "y", "yaw", *MOTION[self.choice], *self.estimated)
 
     def observed(self, wheels: ArrayLike) -> FloatArray:
-        """Motion parameters (..., 2) that rim speeds (..., 2) [m/s] tell."""
+        """Motion parameters (..., 2) of rim speeds (..., 2) [m/s]."""
         return np.asarray(np.asarray(wheels, dtype=float) @ self.inverse.T)
 
     def start(
         self, time: float, pose: ArrayLike, covariance: ArrayLike, known: FilterState | None = None
     ) -> FilterState:
-        """The state at the beginning, with nothing known of the speed.
+        """The initial state, with unknown speed.
 
         Args:
             time: [s] on the clock of the wheels.
             pose: (3,) x, y [m], yaw [rad].
             covariance: (3, 3) of the pose; zeros: exactly known.
             known: a state of this filter from an earlier drive, whose slips are taken over with their covariance; None:
-                little (``PRIOR``) is known of them.
+                their sigmas are ``PRIOR``.
 
         Raises:
             DataError: pose or time not finite, a covariance that is not symmetric or negative somewhere.
@@ -152,7 +151,7 @@ class KinematicEkf:
     def predict(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
         """Take the encoders into the state, then advance it by dt [s].
 
-        A gap of seconds is survived: the robot is thought to go on as before, its covariance grows with dt^4.
+        In a gap of seconds the motion is taken to continue, and the covariance grows with dt^4.
 
         Raises:
             DataError: time goes backwards, or speeds or time are not finite; a dt of zero changes nothing.
@@ -204,7 +203,7 @@ class KinematicEkf:
         return updated(state, self.moving(state), measurement, self.gate)
 
     def moving(self, state: FilterState) -> Moving:
-        """How the robot moves in a state."""
+        """The motion in a state."""
         C, _, slips, where, track, *_ = self.dynamics
         D, rolling = np.empty((2, len(state.mean))), np.zeros((2, len(state.mean)))
         v, omega, _ = kernels.twist(state.mean, C, slips, where, track, D)

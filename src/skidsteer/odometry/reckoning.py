@@ -1,4 +1,4 @@
-"""Dead reckoning from wheel speeds: how a step of constant speeds is drawn, and how wrong the drawing is.
+"""Dead reckoning from wheel speeds: geometries of a step at constant speeds, and their errors.
 
 Thalmann 2016, sections 2.1 and 2.2. The displayed Eqs. (1) and (2) are lost in the scan at hand. In a step of dt, with
 path s = v dt and turn delta = omega dt, seen from the pose where it begins:
@@ -6,14 +6,12 @@ path s = v dt and turn delta = omega dt, seen from the pose where it begins:
     polygon   (s, 0, delta)                                       Eq. (1): the path goes on along the tangent
     arc       (s k cos(delta / 2), s k sin(delta / 2), delta)     Eq. (2): the chord of an arc of length s
 
-with k = sin(delta / 2) / (delta / 2), in which the straight line is no exception: it is 1 there, nothing is divided by
-zero. (Written with the radius v / omega, as in the paper, the arc needs a second filter for straight lines.)
-``exact`` also moves sideways on the arc, which an ICR ahead of or behind the origin asks for: the exponential map of
-SE(2). Without side slip it is the arc.
+with k = sin(delta / 2) / (delta / 2), which is 1 on a straight line. (Written with the radius v / omega, as in the
+paper, the arc needs a second filter for straight lines.) ``exact`` is the exponential map of SE(2): the arc, and
+sideways motion as an ICR ahead of or behind the origin causes it.
 
-A polygon errs by v^2 dt^2 / (2 R) a step, quadratic in the speed and inverse in the radius R. Over a circle the errors
-close: the vertices lie on one of nearly the same radius, whose centre is displaced by half a step, v dt / 2, whatever
-the radius.
+A polygon errs by v^2 dt^2 / (2 R) a step, quadratic in the speed and inverse in the radius R. Over a full circle the
+errors cancel: the vertices lie on a circle of nearly the same radius, displaced by half a step, v dt / 2, whatever R.
 """
 
 from __future__ import annotations
@@ -59,7 +57,7 @@ def reckon(
     Args:
         model: rim speeds to twists.
         wheels: (n, 2) rim speeds [m/s], each held until the next sample, however long that takes.
-        geometry: how a step is drawn.
+        geometry: of a step.
         start: pose at the first sample.
 
     Raises:

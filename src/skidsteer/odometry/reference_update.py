@@ -1,7 +1,8 @@
-"""What a reference, a gyro or a standstill tells of a state that begins with a pose; its update in Joseph's form.
+"""Updates of a state that begins with a pose, by a reference, a gyro or a standstill, in Joseph's form.
 
-Measurements are tested first, as in Thalmann 2016: where they fit the prediction the innovation d has mean zero and the
-covariance D = H P H' + R, and T = d' D^-1 d, Eq. (10), is chi-square with as many degrees of freedom as d has numbers.
+Measurements are tested first, as in Thalmann 2016: where they are compatible with the prediction, the innovation d has
+mean zero and the covariance D = H P H' + R, and T = d' D^-1 d, Eq. (10), is chi-square with as many degrees of freedom
+as d has elements.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ STANDSTILL = 1e-3  # [m/s] standard deviation of each rim's speed of a robot at 
 
 @lru_cache
 def threshold(significance: float, count: int) -> float:
-    """Value that T of ``count`` numbers that fit exceeds with this probability; infinite for zero.
+    """Value that T of ``count`` compatible observations exceeds with this probability; infinite for zero.
 
     Raises:
         RequestError: a significance outside [0, 1).
@@ -44,7 +45,7 @@ def threshold(significance: float, count: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moving:
-    """How the robot of a state (n,) moves, linearised."""
+    """The motion in a state (n,), linearised."""
 
     v: float  # [m/s]
     omega: float  # [rad/s]
@@ -54,7 +55,7 @@ class Moving:
 
 
 def innovation(state: FilterState, moving: Moving, seen: Measurement) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measured less expected (k,), derivative H (k, n) of what is expected, and covariance (k, k) of the noise."""
+    """Measured less expected (k,), derivative H (k, n) of the expected, and covariance (k, k) of the noise."""
     if isinstance(seen, YawRate):
         return np.array([seen.rate - moving.omega]), moving.turning[None], np.array([[seen.variance]])
     if isinstance(seen, Standstill):

@@ -1,4 +1,4 @@
-"""Odometry of a drive by a calibration: the trajectory, and how far it and dead reckoning are from the reference."""
+"""Odometry of a drive by a calibration: the trajectory, and its distance from the reference."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from skidsteer.se2 import FloatArray, compose, invert
 
 @dataclass(frozen=True, slots=True)
 class OdometryOptions:
-    """What is taken of a drive, and what is made of it."""
+    """What is used of a drive, and how."""
 
     filter: str = "icr"  # of ``FILTERS``
-    reference: bool = True  # False: it is there to judge by only
+    reference: bool = True  # False: it is only used to measure the errors
     gyro: bool = True  # where the filter has a state for its bias
     smooth: bool = False  # each pose given the whole drive
-    lose_after: float | None = None  # [s] from the start, after which the reference is there to judge by only
+    lose_after: float | None = None  # [s] from the start, after which the reference only measures the errors
     fit_delay: bool = False  # find the time offset of the reference first; needs reference poses
 
     def __post_init__(self) -> None:
@@ -41,7 +41,7 @@ class OdometryOptions:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """How far positions are from the reference [m]."""
+    """Distance [m] of positions from the reference."""
 
     rms: float
     most: float
@@ -51,8 +51,8 @@ class Distance:
 class Odometry:
     """A track, and its distance from the reference where the drive has one.
 
-    Distances count from ``since`` on: from where the reference was lost, else from the start. Both begin there at the
-    same pose.
+    Distances are measured from ``since`` on: where the reference was lost, else the start. Both begin there at the same
+    pose.
     """
 
     filter: Filter
@@ -63,7 +63,7 @@ class Odometry:
 
 
 def run(calibration: Calibration, drive: Drive, options: OdometryOptions = OdometryOptions()) -> Odometry:
-    """Make the odometry of a drive.
+    """The odometry of a drive.
 
     Raises:
         RequestError: a drive of separate windows; smoothing by a filter that cannot; a delay to be fitted without
@@ -84,7 +84,7 @@ def run(calibration: Calibration, drive: Drive, options: OdometryOptions = Odome
 
 
 def _taken(whole: Log, options: OdometryOptions) -> tuple[Log, float]:
-    """The log without the reference that is to be ignored, and the time from which on the track is judged."""
+    """The log without the reference that is not used, and the time from which the errors are measured."""
     first, last = float(whole.wheels.t[0]), float(whole.wheels.t[-1])
     if not options.reference:
         return replace(whole, reference=None), first
@@ -99,7 +99,7 @@ def _taken(whole: Log, options: OdometryOptions) -> tuple[Log, float]:
 
 
 def _reckoned(calibration: Calibration, log: Log, track: Track, since: float) -> Track:
-    """Dead reckoning by the nominal track width from the pose of a track on."""
+    """Dead reckoning by the nominal track width from the pose of a track at ``since``."""
     at = int(np.searchsorted(track.t, since))
     wheels = log.wheels.between(float(track.t[at]), np.inf)
     if wheels is None:
@@ -110,7 +110,7 @@ def _reckoned(calibration: Calibration, log: Log, track: Track, since: float) ->
 
 
 def _distances(whole: Log, tracks: tuple[Track, ...], since: float, ignored: bool) -> tuple[Distance | None, ...]:
-    """Distance of each track; one that began at the origin is laid on the reference first, by its first pose."""
+    """Distance of each track; one that began at the origin is aligned with the reference first."""
     assert whole.reference is not None
     seen = whole.reference.between(max(since, float(tracks[-1].t[0])), float(tracks[0].t[-1]))
     if seen is None or (ignored and len(seen) < 2):
@@ -126,13 +126,13 @@ def _distances(whole: Log, tracks: tuple[Track, ...], since: float, ignored: boo
 
 
 def distance(path: FloatArray, seen: FloatArray) -> Distance:
-    """How far positions (m, 2) [m] of a path, at least one, are from those of the reference (m, 2)."""
+    """Distance of positions (m, 2) [m], at least one, from those of the reference (m, 2)."""
     away = np.hypot(*(path - seen).T)
     return Distance(float(np.sqrt(np.mean(away**2))), float(away.max()))
 
 
 def _laid(path: FloatArray, seen: FloatArray) -> FloatArray:
-    """A path (m, 3) laid on the reference: by its first pose, or on positions by the best rigid motion."""
+    """A path (m, 3) aligned with the reference: by its first pose, or with positions by the best rigid motion."""
     if seen.shape[1] == 3:
         return compose(compose(seen[0], invert(path[0])), path)
     return compose(closest(path[:, :2], seen), path)

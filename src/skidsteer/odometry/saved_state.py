@@ -1,4 +1,4 @@
-"""A filter's state as JSON that reads back to the last bit, so that a robot goes on where it was switched off."""
+"""A filter's state as JSON that reads back to the last bit, so that a robot continues where it was switched off."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGEST = 1 << 20  # [bytes]
 
 
 class _File(BaseModel):
-    """The layout of the file; a number that is not known (NaN) is null."""
+    """The layout of the file; NaN is null."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -56,8 +56,8 @@ def load_state(filter: Filter, path: str | os.PathLike[str]) -> FilterState:
     """Read the state of a filter.
 
     Raises:
-        DataError: no such file, not a state, or one that cannot be: shapes that do not fit, numbers that are not
-            finite, a covariance that is not positive definite.
+        DataError: no such file, not a state, shapes that do not fit, numbers that are not finite, a covariance that is
+            not positive definite.
         RequestError: the state of another filter, or of the same with another calibration.
     """
     text = decode(path, read_bytes(path, LARGEST))

@@ -1,7 +1,7 @@
-"""What every filter shares: its state, what may be measured, and the two pure functions that lead to the next state.
+"""What all filters share: state, measurements, and the two pure functions that lead to the next state.
 
-Time runs on the clock of the wheels. A reference or gyro whose stamps are late is told with its time taken off that
-clock; ``skidsteer.odometry.timeline`` takes what arrives late at its own time.
+Times are on the clock of the wheels; stamps of reference and gyro are corrected before. ``skidsteer.odometry.timeline``
+takes measurements that arrive late at their own time.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount
 
 ORIGIN = Mount()
-SAME_TIME = 1e-6  # [s] two times within this are one
-ROUNDING = 1e-9  # of both sigmas, by which a covariance may be off its mirror image
+SAME_TIME = 1e-6  # [s] within which two times are the same
+ROUNDING = 1e-9  # asymmetry of a covariance, relative to both sigmas, that is taken for rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
-    """All that a filter knows at one time. Immutable; the arrays are made read-only, not copied.
+    """The state of a filter at one time. Immutable; the arrays are made read-only, not copied.
 
-    ``memory`` holds numbers that the filter carries beside mean and covariance, such as speeds behind a lag.
+    ``memory`` holds what the filter carries beside mean and covariance, such as lagged speeds.
     """
 
-    filter: str  # fingerprint of the filter that it belongs to
+    filter: str  # fingerprint of its filter
     time: float  # [s] on the clock of the wheels
     mean: FloatArray  # (n,): x, y [m] and yaw [rad] of base_link first, the yaw unwrapped
     covariance: FloatArray  # (n, n)
@@ -95,30 +95,30 @@ Measurement = Pose | Position | YawRate | Standstill
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """What a measurement told that the prediction did not."""
+    """Result of an update."""
 
     squared: float  # normalised innovation squared (NIS): chi-square with ``dof`` where the covariances are right
     dof: int
     accepted: bool  # False: gated out, the state kept its mean and covariance
-    anchored: bool = False  # the pose was set anew, since a reference that disagreed agreed with itself for long
+    anchored: bool = False  # the pose was set to a reference that disagreed with the state, but not with itself
 
 
 class Filter(Protocol):
-    """A filter: its options are its fields, its knowledge is in the state. Every function is pure."""
+    """A filter: its options are its fields, its estimate is in the state. Every function is pure."""
 
     @property
     def fingerprint(self) -> str:
-        """Name and hash of all that the filter was made from: a state of another one is refused."""
+        """Name and hash of all that the filter depends on: a state of another one is refused."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """What the mean holds, (n,); x, y, yaw first."""
 
     def start(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> FilterState:
-        """The state at the beginning: pose (3,) and its covariance (3, 3), positive definite."""
+        """The initial state: pose (3,) and its covariance (3, 3), positive definite."""
 
     def predict(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
-        """The state after rim speeds v_left, v_right [m/s] have been held for dt [s]; None: they are unknown.
+        """The state after rim speeds v_left, v_right [m/s] were held for dt [s]; None: they are unknown.
 
         Raises:
             DataError: time goes backwards, or speeds or time are not finite; a dt of zero changes nothing.
@@ -126,14 +126,14 @@ class Filter(Protocol):
         """
 
     def hold(self, state: FilterState, wheels: tuple[float, float] | None, dt: float) -> FilterState:
-        """As ``predict``, for speeds that are still held: no sample has come since they were told before."""
+        """As ``predict``, for speeds that are still held: no new sample has come."""
 
     def update(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
         """The state with a measurement that holds at the state's time.
 
         Raises:
             DataError: the measurement holds at another time, is not finite, or its covariance not positive definite.
-            RequestError: a state of another filter, or a kind of measurement that the filter cannot use.
+            RequestError: a state of another filter, or a measurement that the filter cannot use.
         """
 
 
@@ -157,7 +157,7 @@ def refuse_foreign(state: FilterState, expected: str) -> None:
 
 
 def symmetric(what: str, covariance: ArrayLike) -> FloatArray:
-    """A covariance (n, n) as an array of its own, freed of what rounding left, as where it was turned.
+    """A copy of a covariance (n, n), made exactly symmetric where rounding, as of a rotation, left it off.
 
     Raises:
         DataError: not square, not finite, or not symmetric.
@@ -172,7 +172,7 @@ def symmetric(what: str, covariance: ArrayLike) -> FloatArray:
 
 
 def refuse_indefinite(what: str, covariance: ArrayLike) -> FloatArray:
-    """A covariance (n, n) as an array of its own, if it is one.
+    """A copy of a covariance (n, n).
 
     Raises:
         DataError: not square, not finite, not symmetric, or not positive definite.

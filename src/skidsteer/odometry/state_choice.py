@@ -1,4 +1,4 @@
-"""Which two numbers tell the motion in a filter's state, Thalmann 2016, Table 1, and what disturbs them.
+"""The two motion parameters in a filter's state, Thalmann 2016, Table 1, and their disturbances.
 
 The displayed equations are lost in the scan at hand; this follows from the text and Figs. 1 to 3. With B the track
 width, the motion parameters m give the rim speeds (v_l, v_r) = C m:
@@ -45,17 +45,17 @@ def unit_variance(choice: Choice, track_width: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class SystemNoise:
-    """Standard deviations of what the filter does not know. All finite and not negative, ``encoder`` positive.
+    """Standard deviations, all finite and not negative, ``encoder`` positive.
 
-    The accelerations are constant through a step and independent from step to step, as in the paper, so that their
-    effect depends on the sampling rate.
+    The accelerations are constant in a step and independent from step to step, as in the paper, so that their effect
+    depends on the sampling rate.
     """
 
     acceleration: float = 0.5  # [m/s^2] disturbance of the speed, or of each side
     difference: float = 0.1  # [m/s^2] disturbance of the difference of the sides; divided by the track: of the yaw rate
     encoder: float = 0.005  # [m/s] of an observed rim speed
-    drift: float = 0.0  # [1/sqrt(s)] by which estimated slip parameters wander; not in the paper
-    walk: float = 0.0  # [m/sqrt(m)] wandering of the position with the distance rolled, each axis; not in the paper
+    drift: float = 0.0  # [1/sqrt(s)] random walk of estimated slip parameters; not in the paper
+    walk: float = 0.0  # [m/sqrt(m)] random walk of the position with the distance rolled, each axis; not in the paper
     turn: float = 0.0  # [rad/sqrt(m)] the same of the yaw
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from skidsteer.se2 import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracking:
-    """Positions (p, 2) [m] of a target on the robot, as a total station tells them.
+    """Positions (p, 2) [m] of a target on the robot, as of a total station.
 
     Raises:
         DataError: noise that is not positive, a mounting that is not finite.
@@ -27,7 +27,7 @@ class Tracking:
     positions: Series  # stamps on the reference's clock
     sigma: float = 0.01  # [m] of a position, each axis
     stamp_sigma: float = 0.0  # [s] of a stamp: at speed it moves a position along its path
-    time_offset: float = 0.0  # [s] the stamps are late by this
+    time_offset: float = 0.0  # [s] by which the stamps are late
     lever: tuple[float, float] = (0.0, 0.0)  # [m] place of the target on the robot
 
     def __post_init__(self) -> None:
@@ -45,16 +45,16 @@ class Tracking:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """What a filter made of a drive; at a wheel sample before its encoders are taken, so that one can go on from it."""
+    """A filter over a drive. A state at a wheel sample is that before the sample is taken, to continue from."""
 
     t: FloatArray  # (n,) [s] of the wheel samples
     means: FloatArray  # (n, m)
-    covariances: FloatArray  # (n, m, m), or (0, m, m) where not wanted
+    covariances: FloatArray  # (n, m, m), or (0, m, m) if not kept
     statistic: FloatArray  # (n,) T of the compatibility test, Thalmann 2016, Eq. (10)
     taken: np.ndarray  # (n, 2) bool: the motion parameters whose observation was taken
     seen_t: FloatArray  # (p,) [s] of the positions between the first and the last wheel sample
     seen: FloatArray  # (p, 2) [m] as measured
-    expected: FloatArray  # (p, 2) [m] of the target as the filter has it, after the position was taken where it was
+    expected: FloatArray  # (p, 2) [m] of the target by the filter, after the update where there was one
     seen_statistic: FloatArray  # (p,) normalised innovation squared; NaN where the position was not used
     seen_deviance: FloatArray  # (p,) -2 log likelihood of the position, less a constant; zero where it was not used
     seen_taken: np.ndarray  # (p,) bool
@@ -89,11 +89,11 @@ def replay(
     """Run a filter over the wheel samples from its state's time on: the same steps as ``predict`` and ``update``.
 
     Args:
-        filter: whose state it is.
+        filter: of the state.
         start: at or before the first wheel sample used; samples before it are not used.
         wheels: (n, 2) rim speeds [m/s].
         tracking: positions; None: encoders alone.
-        lost: [s] first and last time, wheel clock, at which no position is taken; where they are is still told.
+        lost: [s] first and last time, wheel clock, of the positions that are not taken.
         covariances: keep the covariance at every sample.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A live filter that takes what arrives late at its own time: it remembers, goes back, and steps forward again."""
+"""A live filter that takes late measurements at their own time: it remembers, goes back, and steps forward again."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ Past = tuple[FilterState, Event]  # what happened, and the state before it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timeline:
-    """A filter, its newest state, and what happened in the last seconds. Immutable, as the states are.
+    """A filter, its newest state, and the events of the last seconds. Immutable, as the states are.
 
-    What arrives in any order gives the same state as what arrives in time, to rounding: a measurement is taken into the
-    state of its own time, and all that came after it happens once more.
+    The order of arrival does not matter, up to rounding: a measurement is taken into the state of its own time, and all
+    later events are repeated.
     """
 
     filter: Filter
     now: FilterState
-    horizon: float = 2.0  # [s] that it can go back; more costs memory and, for what is late, time
+    horizon: float = 2.0  # [s] that it can go back; more costs memory and, for late measurements, time
     past: tuple[Past, ...] = ()
 
     def predict(self, wheels: tuple[float, float] | None, dt: float) -> Timeline:
-        """Rim speeds v_left, v_right [m/s] held for dt [s] from the newest state on; see ``Filter.predict``."""
+        """The timeline after rim speeds v_left, v_right [m/s] were held for dt [s]; see ``Filter.predict``."""
         after = self.filter.predict(self.now, wheels, dt)
         return self if after is self.now else self._with(((self.now, Step(wheels, dt)),), after)
 
     def update(self, measurement: Measurement) -> tuple[Timeline, Innovation]:
         """Take a measurement at its own time, now or earlier.
 
-        A yaw rate with a ``duration`` is taken by every step in it, each with its share of the information; the
+        A yaw rate with a ``duration`` is divided among its steps, each with its share of the information; the
         innovation is the sum over them.
 
         Raises:
@@ -67,7 +67,7 @@ class Timeline:
         return max(bisect_right(self.past, time, key=lambda past: past[0].time) - 1, 0)
 
     def _back_to(self, begin: float, end: float) -> int:
-        """Index of the first event that happens once more."""
+        """Index of the first event that is repeated."""
         if not end <= self.now.time + SAME_TIME:
             raise DataError(
                 f"a measurement at {end:.3f} s lies ahead of the state at {self.now.time:.3f} s;"
@@ -86,10 +86,10 @@ class Timeline:
 def _inserted(
     events: Sequence[Event], clock: float, measurement: Measurement, span: float
 ) -> Iterator[tuple[Event, bool]]:
-    """The events from ``clock`` on with a measurement among them; True where it, or a part of it, is taken.
+    """The events from ``clock`` on with a measurement inserted; True marks it, or a part of it.
 
-    Steps are cut where it begins and ends, and so are the yaw rates that they have been told. It comes after what was
-    told for its time before; a yaw rate comes right after each of its steps that has none.
+    Steps are cut where it begins and ends, and so are their yaw rates. It comes after earlier measurements of its time;
+    a yaw rate comes right after each of its steps that has none.
     """
     begin, end = measurement.time - span, measurement.time
     rate = measurement if isinstance(measurement, YawRate) and span > 0.0 else None
@@ -114,7 +114,7 @@ def _inserted(
 
 
 def _with_rates(events: Sequence[Event]) -> Iterator[tuple[Event, YawRate | None]]:
-    """Each event but yaw rates, and the yaw rate that a step was told."""
+    """Each event but yaw rates, and the yaw rate of a step."""
     for event, following in zip_longest(events, events[1:]):
         if not isinstance(event, YawRate):
             yield event, following if isinstance(event, Step) and isinstance(following, YawRate) else None

@@ -1,4 +1,4 @@
-"""A log through a filter: where the robot was, how sure that is, and what the references told."""
+"""A log through a filter: the trajectory with its covariance, and the innovations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Track:
     dof: int  # of each of them
     accepted: np.ndarray  # (m,) bool
     anchored: np.ndarray  # (m,) bool: refused for long, then taken as the pose
-    rates: tuple[int, int]  # steps that took a gyro's rate, and that refused one
+    rates: tuple[int, int]  # yaw rates of a gyro that were accepted, and refused
     last: FilterState
     rate_squared: float = float("nan")  # mean normalised innovation squared of the gyro's rates; NaN without
 
@@ -92,7 +92,7 @@ def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
 
 
 def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -> tuple[Track, Nodes, int]:
-    """The track, and the states after each step with their number where room is wanted for them."""
+    """The track, and the first ``nodes`` states after a step, with their number."""
     k, n = len(log.wheels), len(state.mean)
     mean, P, memory = state.mean.copy(), state.covariance.copy(), state.memory.copy()
     told, gyro = _told(log), log.gyro if filter.gyro else None
@@ -114,7 +114,7 @@ def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -
 
 
 def _told(log: Log) -> Told:
-    """The references in columns; positions as poses without a yaw."""
+    """The references as arrays; positions as poses without a yaw."""
     if log.reference is None or log.covariance is None:
         return Told(
             np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 3))
@@ -130,7 +130,7 @@ def _told(log: Log) -> Told:
 def smooth(filter: Filter, state: FilterState, log: Log) -> Track:
     """As ``replay``, but each state given the whole log: Rauch, Tung and Striebel 1965. For ICR filters that adapt.
 
-    It holds states and covariances of all steps in memory.
+    States and covariances of all steps are held in memory.
 
     Raises:
         RequestError: another filter, or a state of another one.

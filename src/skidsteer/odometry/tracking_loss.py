@@ -1,7 +1,7 @@
-"""How far a filter strays while tracking is lost: the study of Thalmann 2016, section 3.2, Figs. 12 and 13.
+"""Errors of a filter while tracking is lost: the study of Thalmann 2016, section 3.2, Figs. 12 and 13.
 
-Tracking is lost in random windows of a drive. Until then the filter takes encoders and positions, then encoders alone;
-the largest distance of the target from where it is measured is the error of the window.
+Tracking is lost in random windows of a drive. Before, the filter takes encoders and positions; in the window, encoders
+only. The error of the window is the largest distance of the target from its measured position.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from skidsteer.odometry.kinematic_ekf import KinematicEkf
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
 from skidsteer.se2 import FloatArray
 
-SEEN_FIRST = 5.0  # [m] that the target is seen to move before tracking is lost: positions tell no heading at rest
-LEAST_MOVE = 2.0  # [m] that it moves away in a window: a robot at rest tells nothing
+SEEN_FIRST = 5.0  # [m] that the target moves before tracking is lost: at rest positions tell no heading
+LEAST_MOVE = 2.0  # [m] that it moves in a window
 TRIES = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LossStudy:
-    """Largest errors of filters over lost windows."""
+    """Errors of filters in lost windows."""
 
     durations: FloatArray  # (k,) [s]
     starts: FloatArray  # (k, count) [s] of the windows on the clock of the wheels
@@ -48,11 +48,10 @@ def loss_study(
     count: int = 40,
     seed: int = 0,
 ) -> LossStudy:
-    """Lose tracking again and again, for each filter in the same windows.
+    """Errors in random lost windows, the same for each filter.
 
     Args:
-        filters: by name. One whose slips are constants is used as it is; one that estimates slips is calibrated for
-            each window on what is seen before and after it.
+        filters: by name. One that estimates slips is calibrated for each window on what is seen before and after it.
         wheels: (n, 2) rim speeds [m/s].
         tracking: positions of the whole drive.
         durations: [s] of the windows.
@@ -60,7 +59,7 @@ def loss_study(
         seed: of the random windows.
 
     Raises:
-        DataError: a duration that no window of the drive offers, in which the robot moves after it was seen to move.
+        DataError: a duration with too few windows in which the robot moves.
     """
     rng = np.random.default_rng(seed)
     starts = np.array([lost_windows(wheels, tracking, duration, count, rng) for duration in durations])
@@ -85,7 +84,7 @@ def _errors(
 
 
 def tracked(filter: KinematicEkf, wheels: Series, tracking: Tracking) -> Replay:
-    """The drive with positions all through.
+    """The drive with all positions.
 
     Raises:
         DataError: wheels and positions share no time, or the robot is not seen to move.
@@ -96,7 +95,7 @@ def tracked(filter: KinematicEkf, wheels: Series, tracking: Tracking) -> Replay:
 def lost_windows(
     wheels: Series, tracking: Tracking, duration: float, count: int, rng: np.random.Generator
 ) -> FloatArray:
-    """Random first times (count,) [s] of windows in which the robot moves, after it was seen to move.
+    """Random starts (count,) [s] of windows in which the robot moves, after it was seen to move.
 
     Raises:
         DataError: there are none.
@@ -124,11 +123,11 @@ def _extent(t: FloatArray, seen: FloatArray, start: float, end: float) -> float:
 def maximum_error(
     filter: KinematicEkf, track: Replay, wheels: Series, tracking: Tracking, start: float, end: float
 ) -> float:
-    """Largest distance [m] of the target from where it is measured, while tracking is lost from start to end [s].
+    """Largest distance [m] of the target from its measured position, while tracking is lost from start to end [s].
 
     Args:
-        filter: that made the track.
-        track: with positions all through, and covariances.
+        filter: of the track.
+        track: with all positions, and covariances.
         wheels: (n, 2) rim speeds [m/s].
         tracking: positions.
         start: [s] on the clock of the wheels.
