@@ -11,12 +11,13 @@ import pytest
 from scipy.stats import chi2
 
 from skidsteer.drive import Drive, Series
-from skidsteer.evaluation import evaluate, mount
+from skidsteer.evaluation import evaluate, mount, other_references
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate, candidates
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.io.drives import load_drive
 from skidsteer.metrics import window_errors
 from skidsteer.models import MODELS, Differential, Icr, Model, SymmetricIcr
+from skidsteer.odometry.log import log_of
 from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH
 from skidsteer.se2 import FloatArray, compose
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
@@ -222,3 +223,27 @@ def test_where_the_sensor_sits_is_kept_for_those_who_use_the_model() -> None:
     elsewhere = replace(found, estimates=found.estimates | {"mount_x": replace(found.estimates["mount_x"], value=1.0)})
     assert mount(elsewhere, drive) == found.mount
     assert mount(elsewhere, replace(drive, antenna=None)) == elsewhere.mount
+
+
+@pytest.mark.parametrize("kind", ["position", "pose"])
+def test_the_place_of_an_antenna_is_not_that_of_a_pose_sensor(kind: str) -> None:
+    """Held against the other kind of reference, a calibration does as well as against its own, and says so."""
+    poses = body(SYMMETRIC, 0)
+    antenna = replace(with_positions(SYMMETRIC, 1), antenna=(MOUNT.x, MOUNT.y))
+    own, other = (antenna, poses) if kind == "position" else (poses, antenna)
+    options = CalibrateOptions(model="icr_symmetric", spacing=0.0)
+    found = calibrate(own, options=options)
+    there = Mount(MOUNT.x, MOUNT.y)
+    assert (mount(found, own), mount(found, other)) == ((there, Mount()) if kind == "position" else (Mount(), there))
+    judged = evaluate(found, [other])
+    assert judged.total.translation_m.median < 0.03
+    told = log_of(found, other).mount
+    assert told == mount(found, other)
+    if kind == "position":
+        assert judged.warnings == ("d: the calibration is by positions; its poses are taken to be those of base_link",)
+    else:
+        assert judged.warnings == ()  # the log tells where its antenna sits
+        (sentence,) = other_references(found, [replace(other, antenna=None)])
+        assert "antenna_x and antenna_y" in sentence
+        assert mount(found, replace(other, antenna=None)) == Mount()
+    assert other_references(found, [own]) == ()

@@ -218,6 +218,12 @@ class Calibration:
         return Mount(*(known.get(f"mount_{axis}", 0.0) for axis in ("x", "y", "yaw")))
 
     @property
+    def reference_kinds(self) -> tuple[str, ...]:
+        """What the references of its drives told: pose, position; none where that is not known, or a gyro alone."""
+        told = str(self.provenance.options.get("reference") or "")
+        return tuple(kind for kind in ("pose", "position") if kind in told.split(","))
+
+    @property
     def uncertainty(self) -> Uncertainty:
         """What a prediction with ``timing`` may be wrong by; time offset and model are taken from the first drive."""
         offset = next((n for n in self.names if n.startswith("time_offset")), None)

@@ -111,6 +111,11 @@ class Drive:
         return self.pose if self.pose is not None else self.position
 
     @property
+    def sees(self) -> str:
+        """What the reference tells: pose, or position; turn where there is none but a gyro may be."""
+        return "turn" if self.reference is None else "position" if self.pose is None else "pose"
+
+    @property
     def span(self) -> tuple[float, float]:
         """First and last wheel time [s]."""
         return float(self.wheels.t[0]), float(self.wheels.t[-1])

@@ -57,13 +57,44 @@ def evaluate(
         figures[name], offsets[name] = HeldOut.of(errors, calibration.regions), timing.time_offset
         parts.append(errors)
     total = HeldOut.of(WindowErrors.join(parts), calibration.regions)
-    return Evaluation(total, figures, offsets, other_robots(calibration, drives))
+    return Evaluation(total, figures, offsets, remarks(calibration, drives))
 
 
 def mount(calibration: Calibration, drive: Drive) -> Mount:
-    """Where the reference of a drive sits: that of the calibration, but where the drive tells its antenna's place."""
-    told = drive.antenna if drive.pose is None and drive.position is not None else None
-    return calibration.mount if told is None else Mount(*told)
+    """Where the reference of a drive sits: where the drive tells, or where that of the calibration sat if it is alike.
+
+    Antenna and pose sensor are two things: where the one kind calibrated, the other is taken to be of base_link.
+    """
+    told = drive.antenna if drive.sees == "position" else None
+    if told is not None:
+        return Mount(*told)
+    return calibration.mount if _alike(calibration, drive) else Mount()
+
+
+def _alike(calibration: Calibration, drive: Drive) -> bool:
+    """Whether a drive has a reference of the kind that calibrated, as far as is known."""
+    kinds = calibration.reference_kinds
+    return not kinds or drive.sees in (*kinds, "turn")
+
+
+def remarks(calibration: Calibration, drives: Sequence[Drive]) -> tuple[str, ...]:
+    """What to know of a calibration that is used on drives: other robots, other references."""
+    return (*other_robots(calibration, drives), *other_references(calibration, drives))
+
+
+def other_references(calibration: Calibration, drives: Sequence[Drive]) -> tuple[str, ...]:
+    """A sentence on each drive whose reference is taken to be of base_link, as the calibration is by another kind."""
+    kinds = " and ".join(f"{kind}s" for kind in calibration.reference_kinds)
+    taken = {
+        "pose": "its poses are taken to be those of base_link",
+        "position": "its positions are taken to be those of base_link, as nothing tells where the antenna sits; if it"
+        " is elsewhere, give antenna_x and antenna_y [m] in its vehicle.yaml",
+    }
+    return tuple(
+        f"{drive.name}: the calibration is by {kinds}; {taken[drive.sees]}"
+        for drive in drives
+        if not _alike(calibration, drive) and (drive.sees == "pose" or drive.antenna is None)
+    )
 
 
 def other_robots(calibration: Calibration, drives: Sequence[Drive]) -> tuple[str, ...]:

@@ -77,10 +77,10 @@ class Source:
 
         if known is None:
             return load_drives(paths, self.vehicle(), self._options())
-        from skidsteer.evaluation import other_robots
+        from skidsteer.evaluation import remarks
 
         drives = load_drives(paths, self.vehicle(), self._options(), otherwise=known.vehicle)
-        for sentence in other_robots(known, drives):
+        for sentence in remarks(known, drives):
             log.warning("Note: %s.", sentence)
         return drives
 

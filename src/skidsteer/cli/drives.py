@@ -91,7 +91,7 @@ def odometry(
 ) -> None:
     """Where a robot drove: a trajectory with covariance. From wheels, gyro and reference, as they are there."""
     from skidsteer import console, documents
-    from skidsteer.evaluation import other_robots
+    from skidsteer.evaluation import remarks
     from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.covariance_csv import write_covariances
@@ -109,7 +109,7 @@ def odometry(
     if covariance is not None:
         write_covariances(covariance, result.track.t, result.track.covariances)
     if json:
-        typer.echo(documents.to_json(documents.odometry_document(result, other_robots(known, [loaded]))))
+        typer.echo(documents.to_json(documents.odometry_document(result, remarks(known, [loaded]))))
     else:
         console.show_odometry(result)
 

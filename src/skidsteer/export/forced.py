@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from skidsteer.calibration import Calibration, HeldOut
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
-from skidsteer.evaluation import fit_offset
+from skidsteer.evaluation import fit_offset, mount
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import Differential, Model
 from skidsteer.multipliers import Projection, moving_rims, project, usual_rims
@@ -80,7 +80,7 @@ def _measure(calibration: Calibration, projection: Projection, drives: Sequence[
         offset = calibration.timing.time_offset if drive.reference is None else fit_offset(calibration, drive)
         timing = replace(calibration.timing, time_offset=offset)
         for part, model in zip(parts, models, strict=True):
-            part.append(window_errors(model, drive, timing, length, calibration.mount))
+            part.append(window_errors(model, drive, timing, length, mount(calibration, drive)))
         if not len(parts[0][-1]):
             raise DataError(
                 f"{drive.name}: no window of {length:g} s in which wheels and reference are there and the robot moves"

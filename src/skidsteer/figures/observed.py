@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from skidsteer.errors import RequestError
+from skidsteer.evaluation import mount
 from skidsteer.figures.material import Material
 from skidsteer.models import Model
 from skidsteer.report.reckoner import Reckoner
@@ -46,7 +47,7 @@ def observe(known: Sequence[Reckoner], material: Material, turning: bool = False
     Raises:
         RequestError: there is no such window.
     """
-    parts = [_observe(one, material.calibration.mount, material.window) for one in known]
+    parts = [_observe(one, mount(material.calibration, one.drive), material.window) for one in known]
     found = Observed(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Observed)))
     if turning:
         found = found.where(np.abs(found.measured[:, 2]) * found.duration >= LEAST_TURN)
@@ -56,7 +57,7 @@ def observe(known: Sequence[Reckoner], material: Material, turning: bool = False
     return found
 
 
-def _observe(reckoner: Reckoner, mount: Mount, length: float) -> Observed:
+def _observe(reckoner: Reckoner, place: Mount, length: float) -> Observed:
     drive = reckoner.drive
     errors = reckoner.errors(length)
     windows = judging_windows(drive, length)
@@ -65,7 +66,7 @@ def _observe(reckoner: Reckoner, mount: Mount, length: float) -> Observed:
     cut = steps(drive.wheels, windows, reckoner.timing, slopes=False)
     rolled = np.add.reduceat(np.vstack([cut.distance, np.zeros((1, 2))]), cut.offsets[:-1], axis=0)
     rolled[np.diff(cut.offsets) == 0] = 0.0
-    body, predicted = (mount.body(motion) for motion in (windows.motion, reckoner.motions(windows)))
+    body, predicted = (place.body(motion) for motion in (windows.motion, reckoner.motions(windows)))
     body[:, 2] = predicted[:, 2] + wrap(body[:, 2] - predicted[:, 2])  # windows may turn by more than half a turn
     measured, expected = _twist(body, duration), _twist(predicted, duration)
     return Observed(rolled / duration[:, None], measured, expected, duration, errors.translation, errors.yaw)

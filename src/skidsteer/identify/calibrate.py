@@ -320,6 +320,7 @@ def _provenance(drives: Sequence[Drive], found: Fit, options: CalibrateOptions) 
         "time_offset": options.fit.time_offset,
         "lag": options.fit.lag,
         "mount": "free" if options.fit.mount is None else ",".join(f"{v:g}" for v in astuple(options.fit.mount)),
+        "reference": ",".join(sorted({d.sees for d in drives if d.reference is not None})) or None,
         "align": options.fit.align,
         "robust": options.fit.robust,
         "fix": options.fix,

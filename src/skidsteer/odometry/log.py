@@ -1,4 +1,4 @@
-"""A drive as a filter is told it: wheels, reference and gyro on the clock of the wheels, event after event."""
+"""A drive as input of a filter: wheels, reference and gyro on the clock of the wheels, event by event."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
+from skidsteer.evaluation import mount
 from skidsteer.gyro import rough_errors
 from skidsteer.odometry.state import ORIGIN, Filter, FilterState, Measurement, Pose, Position, YawRate
 from skidsteer.se2 import FloatArray
@@ -22,7 +23,7 @@ class Step:
 
     wheels: tuple[float, float] | None
     dt: float
-    sampled: bool = True  # the speeds were told at its beginning, not before
+    sampled: bool = True  # a wheel sample was taken at its beginning
 
     def taken(self, filter: Filter, state: FilterState) -> FilterState:
         """The state after it."""
@@ -34,7 +35,7 @@ Event = Step | Measurement
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """Series on the clock of the wheels, and how wrong they are."""
+    """Series on the clock of the wheels, and their noise."""
 
     wheels: Series  # (k, 2) v_left, v_right [m/s], held from sample to sample
     reference: Series | None = None  # (m, 3) poses, or (m, 2) positions
@@ -45,7 +46,7 @@ class Log:
     gyro_walk: float = 1e-4  # [rad^2/s] variance of the gyro's turn, after a second
 
     def without(self, lost: tuple[float, float]) -> Log:
-        """The log with no reference from lost[0] up to and with lost[1] [s]."""
+        """The log without the reference from lost[0] to lost[1] [s]."""
         if self.reference is None:
             return self
         keep = (self.reference.t < lost[0]) | (self.reference.t > lost[1])
@@ -54,13 +55,13 @@ class Log:
 
     @property
     def dof(self) -> int:
-        """How many numbers a reference tells; 0 without one."""
+        """Dimension of a reference; 0 without one."""
         return 0 if self.reference is None else self.reference.values.shape[1]
 
     def events(self) -> Iterator[list[Event]]:
-        """For each wheel stamp what happens after the one before, up to and with it, in the order of time.
+        """For each wheel stamp the events since the previous one, in the order of time.
 
-        Steps end at the stamps of wheels and gyro and at references; a gyro tells the mean rate between two stamps.
+        Steps end at the stamps of wheels, gyro and reference; a gyro measures the mean rate between two of its stamps.
         """
         t, gyro_t, when = self.wheels.t, self._stamps(self.gyro), self._stamps(self.reference)
         now, g, k = t[0], int(np.searchsorted(gyro_t, t[0], side="right")), int(np.searchsorted(when, t[0]))
@@ -105,19 +106,19 @@ def log_of(
     reference: bool = True,
     gyro: bool = True,
 ) -> Log:
-    """What a drive tells, with the noise, mounting and clocks that a calibration found.
+    """The log of a drive, with noise, mounting and clocks of a calibration.
 
-    The gyro's clock is set by the correlation of its rate with the wheels: that needs the whole drive.
+    The clock of the gyro is set by the correlation of its rate with the wheels, which needs the whole drive.
 
     Args:
         calibration: of the robot.
         drive: to be replayed.
-        time_offset: [s] of the reference; None: the calibration's.
-        reference: take it, where the drive has one.
-        gyro: take it, where the drive has one.
+        time_offset: [s] of the reference; None: that of the calibration.
+        reference: whether to use it.
+        gyro: whether to use it.
 
     Raises:
-        RequestError: a drive of separate windows, which has no one trajectory.
+        RequestError: a drive of separate windows, which has no single trajectory.
     """
     if drive.segments is not None:
         raise RequestError(
@@ -135,4 +136,4 @@ def log_of(
     variance = np.array([noise.position**2, noise.position**2, noise.yaw**2])
     columns = 3 if seen is None else seen.values.shape[1]
     covariance = np.diag(variance[:columns])
-    return Log(drive.wheels, seen, covariance, noise.stamp, calibration.mount, rates, noise.gyro**2)
+    return Log(drive.wheels, seen, covariance, noise.stamp, mount(calibration, drive), rates, noise.gyro**2)

@@ -1,4 +1,4 @@
-"""Both phases on one drive: calibrate in the field until the reference is lost, then go on with what was found."""
+"""Both phases on one drive: in-field calibration until the reference is lost, dead reckoning after it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
+from skidsteer.evaluation import mount
 from skidsteer.models import Differential
 from skidsteer.odometry.in_field import calibrate_in_field, tune
 from skidsteer.odometry.kinematic_ekf import thalmann_filter
@@ -27,18 +28,18 @@ def run_phases(
 ) -> Odometry:
     """Odometry by Thalmann's extended filter, which learns the robot's slips from positions until they are lost.
 
-    Only the vehicle, the noise of positions and the place of the sensor are taken from the calibration: slips, delay of
-    the reference, scatter of its stamps and wandering of the pose are found on the first part of the drive. After it
-    the slips stay, and their uncertainty is in the covariance.
+    Only the vehicle, the noise of positions and the place of the sensor are taken from the calibration. Slips, delay of
+    the reference, scatter of its stamps and random walk of the pose are estimated on the first part of the drive. After
+    it the slips stay, and their uncertainty is in the covariance.
 
     Args:
         calibration: of the robot.
         drive: continuous, with reference positions or poses, whose headings are not used.
-        after: [s] from the start, after which the reference is there to judge by only.
-        options: as they are by default.
+        after: [s] from the start, after which the reference is only used to measure the errors.
+        options: the defaults.
 
     Returns:
-        The odometry, whose distances count from then on; the slips found are in its last state.
+        The odometry, with distances from then on; its last state holds the slips.
 
     Raises:
         RequestError: a drive of separate windows or without reference, or one that ends before; other options.
@@ -52,14 +53,14 @@ def run_phases(
     since = first + after
     if not first < since < last:
         raise RequestError(f"the first phase must end inside the drive of {last - first:.1f} s, got {after:g} s")
-    wheels, mount = drive.wheels, calibration.mount
+    wheels, place = drive.wheels, mount(calibration, drive)
     before = wheels.between(first, since)
     assert before is not None
     seen = Series(drive.reference.t, drive.reference.values[:, :2], "positions")
     sigma = max(calibration.noise.position, LEAST_SIGMA)
     width = calibration.vehicle.track_width
     plain = replace(thalmann_filter("extended", width, SystemNoise(2.0, 2.0, 0.02)), significance=0.0)
-    filter, tracking = tune(plain, before, Tracking(seen, sigma, lever=(mount.x, mount.y)))
+    filter, tracking = tune(plain, before, Tracking(seen, sigma, lever=(place.x, place.y)))
     found = calibrate_in_field(filter, before, tracking)
     whole = replay(filter, found.replay.state(filter, 0), wheels, tracking, lost=(since, np.inf))
     nominal = _reckoned(Differential(width), wheels, whole, tracking, since)

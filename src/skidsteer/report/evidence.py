@@ -11,7 +11,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.doctor import Finding, examine, fix
 from skidsteer.drive import Drive
 from skidsteer.errors import DataError, RequestError
-from skidsteer.evaluation import other_robots
+from skidsteer.evaluation import remarks
 from skidsteer.export import Forced, force
 from skidsteer.identify.circle_test import SurfaceResult, chi_of_run, runs_from_drive
 from skidsteer.identify.holdout import Folds
@@ -112,7 +112,7 @@ def gather(
         findings=tuple((drive.name, examine(drive)) for drive in drives),
         is_held_out=bool(known) and all(reckoner.is_held_out for reckoner in known),
         is_seen=any(reckoner.seen for reckoner in known),
-        notes=(*calibration.warnings, *other_robots(calibration, drives)),
+        notes=(*calibration.warnings, *remarks(calibration, drives)),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
-from skidsteer.evaluation import fit_offset
+from skidsteer.evaluation import fit_offset, mount
 from skidsteer.identify.holdout import Folds, fold_fits
 from skidsteer.identify.start import FitOptions
 from skidsteer.metrics import WindowErrors, window_errors
@@ -122,13 +122,13 @@ def _whole(calibration: Calibration, drive: Drive, seen: bool, fit_delay: bool) 
         timing = replace(timing, time_offset=own.value)
     elif fit_delay and drive.reference is not None:
         timing = replace(timing, time_offset=fit_offset(calibration, drive))
-    return Part(calibration.model, timing, calibration.mount, calibration.uncertainty)
+    return Part(calibration.model, timing, mount(calibration, drive), calibration.uncertainty)
 
 
 def fit_options(chosen: Mapping[str, str | float | int | bool | None]) -> FitOptions:
     """The options that a calibration was fitted with, from its provenance."""
-    mount = chosen.get("mount", "0,0,0")
-    place = None if mount == "free" else Mount(*(float(word) for word in str(mount).split(",")))
+    told = str(chosen.get("mount", "0,0,0"))
+    place = None if told == "free" else Mount(*(float(word) for word in told.split(",")))
     offset, lag = (None if chosen.get(name) is None else float(chosen[name] or 0.0) for name in ("time_offset", "lag"))
     return FitOptions(
         time_offset=offset,
