@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 OUT = Console(highlight=False)
 ERR = Console(stderr=True, highlight=False)
-WIDE = 1000  # no table of names and numbers is wider
+WIDE = 1000  # more than any table of names and numbers
 
 
 def escape(text: str) -> str:
-    """Text from a file as it is: on one line, without markup, and nothing in it that a terminal would obey."""
+    """Text from a file, printed as it is: on one line, without markup and control characters."""
     return without_markup(printable(text))
 
 
@@ -55,7 +55,7 @@ def progress_bar() -> Iterator[Report]:
 
 
 def show_calibration(calibration: Calibration) -> None:
-    """Parameters with their sigmas, held-out errors, and what to know about them."""
+    """Parameters with their sigmas, held-out errors and warnings."""
     drives = ", ".join(d.name for d in calibration.provenance.drives)
     OUT.print(f"[bold]{escape(calibration.vehicle.name)}[/bold] from {escape(drives)}: model {calibration.model.NAME}")
     _print_whole(_parameters(calibration))
@@ -102,7 +102,7 @@ def show_circles(found: CircleCalibration) -> None:
     show_calibration(found.calibration)
 
 
-PAIRS = 10  # of rim speeds, up to which the slip ratio of each is shown
+PAIRS = 10  # of rim speeds up to which the slip ratio of each is shown
 
 
 def _circle_rows(sides: list[SideResult]) -> Iterator[tuple[str, list[str]]]:
@@ -126,7 +126,7 @@ def _slip_ratios(side: SideResult, inner: float, outer: float) -> str:
 
 
 def before_after(calibration: Calibration) -> str:
-    """One sentence: how far dead reckoning is off with the nominal and with the calibrated model."""
+    """One sentence: the errors of dead reckoning with the nominal and with the calibrated model."""
     before = calibration.held_out["differential"]
     after = calibration.held_out[calibration.model.NAME]
     length = calibration.provenance.options.get("window")
@@ -142,7 +142,7 @@ def before_after(calibration: Calibration) -> str:
 
 
 def _rms(held_out: HeldOut) -> str:
-    """RMS errors of position and yaw, of those that the reference told."""
+    """RMS errors of position and, where the reference has it, yaw."""
     position, yaw = held_out.translation_m.rms, held_out.yaw_deg.rms
     return f"{position:.3f} m" + (f" and {yaw:.1f} deg" if np.isfinite(yaw) else "")
 
@@ -194,7 +194,7 @@ def _errors(figures: Mapping[str, HeldOut], title: str, chosen: str = "", count:
 
 
 def _print_whole(table: Table) -> None:
-    """Print a table of names and numbers, in which nothing is cut: in a narrower terminal its lines go on below."""
+    """Print a table uncut: in a narrower terminal its lines wrap."""
     natural = OUT.measure(table, options=OUT.options.update(width=WIDE)).maximum
     lines = OUT.render(table, OUT.options.update(width=max(OUT.width, natural)))
     OUT.print(Segments(lines), crop=False, end="")
@@ -249,7 +249,7 @@ def show_terrains(found: Terrains) -> None:
 
 
 def show_odometry(result: Odometry) -> None:
-    """What was taken, how sure the last pose is, and how far the track is from the reference."""
+    """Measurements taken, sigma of the last pose, and distance from the reference."""
     track = result.track
     last = np.sqrt(np.diag(track.covariances[-1]))
     OUT.print(f"{len(track.t)} poses in {track.t[-1] - track.t[0]:.1f} s by {escape(result.filter.fingerprint)}.")
@@ -314,7 +314,7 @@ def show_check(
     cures: Sequence[str],
     verdict: Observability | str,
 ) -> None:
-    """What a bag offers, what is wrong with the drive, and what it can tell of the robot."""
+    """What a bag offers, what is wrong with the drive, and what it determines."""
     if topics is not None:
         table = Table("topic", "type", "messages", "could serve as", "used as", box=None, pad_edge=False)
         for t in topics.topics:

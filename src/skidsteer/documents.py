@@ -310,6 +310,6 @@ def _held_out(figures: HeldOut) -> Document:
 
 
 def to_json(document: Document) -> str:
-    """Strict JSON of a document, in which no character is an order to a terminal."""
+    """Strict JSON of a document, without control characters."""
     text = json.dumps(plain(document), indent=2, allow_nan=False, ensure_ascii=False)
     return re.sub(r"[^ -~\n]", lambda c: c[0] if printable(c[0]) == c[0] else json.dumps(c[0])[1:-1], text)

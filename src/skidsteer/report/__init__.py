@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page about a calibration, for people to judge it by."""
+"""The report: one self-contained HTML page by which people judge a calibration."""
 
 from skidsteer.report.evidence import Evidence, gather
 from skidsteer.report.page import page, write_report

@@ -1,4 +1,4 @@
-"""A chart as plain dictionaries for Plotly; colours are words ("$calibrated") that the page's theme gives a meaning."""
+"""Charts as plain dictionaries for Plotly; colours are names ("$calibrated") that the page's theme resolves."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def colour_bar(title: str) -> Json:
 
 
 def curve(x: FloatArray, y: FloatArray, name: str, colour: str, dash: str, width: float = 2.4) -> Json:
-    """A line through points (k,), which says nothing when pointed at."""
+    """A line through points (k,), without a tooltip."""
     line = {"color": colour, "dash": dash, "width": width}
     values = {"x": np.round(x, 3).tolist(), "y": np.round(y, 4).tolist()}
     return {"type": "scatter", "mode": "lines", "name": name, **values, "line": line, "hoverinfo": "skip"}

@@ -1,4 +1,4 @@
-"""How far dead reckoning strays on 10 m and in a full turn, from all stretches of drives that are so long."""
+"""Errors of dead reckoning after 10 m and after a full turn, from all stretches of that length in the drives."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skidsteer.metrics import aligned_rms
 from skidsteer.report.tracks import Track, motion_between
 from skidsteer.se2 import FloatArray, wrap
 
-DISTANCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # [m] the longest that drives have ``ENOUGH`` of is taken
+DISTANCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # [m]; the longest with ``ENOUGH`` stretches is taken
 TURNS = (360.0, 180.0, 90.0, 45.0)  # [deg]
 ENOUGH = 3.0  # independent stretches
 
@@ -24,16 +24,15 @@ class Drift:
     whole: float
     length: float
     stretches: float  # independent ones
-    is_fitted: bool = False  # RMS distances along stretches that were turned and moved to fit; nothing is scaled
+    is_fitted: bool = False  # RMS distances along rigidly fitted stretches; nothing is scaled
 
 
 def drift_per_10_m(tracks: Sequence[Track]) -> Drift | None:
-    """Median distance [m] of the end position after 10 m from the reference; None where no drive goes so far.
+    """Median error [m] of the end position after 10 m; None where the drives are too short.
 
-    Every pose begins a stretch, which ends when the calibrated model has moved so far: overlapping stretches use all
-    that was driven. Where the drives have too few of 10 m, shorter ones are scaled up. Where no reference tells
-    headings, stretches one after the other are turned and moved to fit the reference best, and the median of their RMS
-    distances is told, of shorter stretches where there are too few.
+    Every pose begins a stretch, which ends when the calibrated model has moved that far: overlapping stretches use all
+    of the drive. Where there are too few of 10 m, shorter ones are scaled up. Where no reference has headings,
+    consecutive stretches are rigidly fitted to the reference, and the result is the median of their RMS distances.
     """
     posed = [track for track in tracks if track.sees == "pose"]
     placed = [track for track in tracks if track.sees == "position"]
@@ -70,7 +69,7 @@ def _stretches(track: Track, length: float) -> tuple[np.ndarray, np.ndarray, flo
 
 
 def _fitted_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], float]:
-    """RMS distances (k,) [m] of each model along stretches one after the other, each turned and moved to fit."""
+    """RMS distances (k,) [m] of each model along consecutive stretches, each rigidly fitted."""
     begins, end, _ = _stretches(track, length)
     reference = track.poses["reference"][:, :2]
     errors: dict[str, list[float]] = {name: [] for name in _models(track)}
@@ -88,7 +87,7 @@ def _fitted_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], 
 def yaw_per_turn(tracks: Sequence[Track]) -> Drift | None:
     """Median error [deg] of the yaw after 360 deg of turning to one side; None where drives hardly turn.
 
-    Turns to the left are put together, and turns to the right, however much lies between them.
+    Turns to the same side are joined, whatever lies between them.
     """
     posed = [track for track in tracks if track.sees != "position"]
     for length in TURNS:

@@ -1,4 +1,4 @@
-"""Charts of errors: held out, of every model; over speed and yaw rate; and against what was claimed."""
+"""Charts of errors: held out, of every model; over speed and yaw rate; and against the predicted regions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def held_out_charts(calibration: Calibration) -> list[Chart]:
 
 
 def spread_of(figures: HeldOut, name: str) -> Spread | None:
-    """The errors of that name; None where they are not known."""
+    """The errors of that name; None where unknown."""
     known: Spread | None = getattr(figures, name)
     return known if known is not None and np.isfinite(known.median) else None
 
@@ -166,7 +166,7 @@ def _residual_chart(name: str, title: str, rows: FloatArray, drives: list[str]) 
 
 
 def worst_and_some(size: FloatArray, most: int, worst: int) -> np.ndarray:
-    """Indices of at most ``most`` of sizes (k,): the ``worst`` largest, and of the others evenly many."""
+    """Indices of at most ``most`` of sizes (k,): the ``worst`` largest, and an even choice of the others."""
     if len(size) <= most:
         return np.arange(len(size))
     order = np.argsort(size, kind="stable")

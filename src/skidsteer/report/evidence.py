@@ -25,7 +25,7 @@ from skidsteer.se2 import FloatArray, wrap
 from skidsteer.windows import Windows, judging_windows, predict, steps
 
 MOST_POSES = 12_000  # shown of all drives together
-LEAST_TURN = np.radians(20.0)  # of a window, to tell where the ICRs lie
+LEAST_TURN = np.radians(20.0)  # of a window from which chi is taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,11 +51,11 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """All of a report that is not the calibration itself. Empty where a drive does not tell."""
+    """All of a report beside the calibration itself."""
 
     calibration: Calibration
     drives: tuple[str, ...]
-    models: dict[str, Model]  # what the robot dead-reckons with uncalibrated, by name
+    models: dict[str, Model]  # uncalibrated ones, by name
     forced: Forced | None
     tracks: tuple[Track, ...]
     judged: tuple[Judged, ...]
@@ -63,11 +63,11 @@ class Evidence:
     drift: Drift | None
     turn: Drift | None
     turns: Turns | None
-    speed: float  # [m/s] rim speed that the faster side seldom exceeds; 0 without a drive
+    speed: float  # [m/s] 90 % quantile of the faster rim; 0 without a drive
     findings: tuple[tuple[str, tuple[Finding, ...]], ...]
     is_held_out: bool
     is_seen: bool  # some of the drives are the calibration's own
-    notes: tuple[str, ...]  # what to know of calibration and drives
+    notes: tuple[str, ...]  # on calibration and drives
 
 
 def gather(
@@ -82,11 +82,11 @@ def gather(
 
     Args:
         calibration: to report on.
-        drives: to judge it on: its own (then held out) or others; none: what the calibration holds is all there is.
-        surfaces: the circle test that it was made from, where it was.
+        drives: on which it is judged: its own (then held out) or others.
+        surfaces: the circle test that it was made from, if any.
         window: [s] of the judging windows; None: those of the calibration.
         fit_delay: find the time offset of foreign drives first.
-        folds: fits to the odd and even blocks of its own drives; None: they are made, where these are its own.
+        folds: fits to the odd and even blocks of its own drives; None: computed if the drives are its own.
     """
     chosen = calibration.provenance.options
     length = float(window or chosen.get("window") or 2.0)
@@ -117,7 +117,7 @@ def gather(
 
 
 def _forced(calibration: Calibration) -> Forced | None:
-    """Its multipliers; None of a model that no differential drive comes near."""
+    """Its multipliers; None where no differential drive approximates the model."""
     try:
         return force(calibration)
     except RequestError:

@@ -1,4 +1,4 @@
-"""Sections that judge: held-out errors, where the model fails, where the ICRs lie, whether sigmas are honest."""
+"""Sections that judge: held-out errors, where the model fails, where the ICRs lie, whether regions hold."""
 
 from __future__ import annotations
 

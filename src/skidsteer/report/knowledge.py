@@ -1,4 +1,4 @@
-"""Sections on what is known: the parameters, what the drives tell of them, and what is wrong with the log."""
+"""Sections on parameters, on what the drives determine, and on what is wrong with the log."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _profiles(calibration: Calibration) -> Html:
 
 
 def observability(evidence: Evidence) -> Section:
-    """The verdict on the drives, motion by motion, and what to drive next."""
+    """What the drives determine, motion by motion, and what to drive next."""
     name, title = "observability", "What the drives tell, and what to drive next"
     verdict = evidence.calibration.observability
     if verdict is None:

@@ -1,4 +1,4 @@
-"""HTML from plain values: everything that is put in is escaped, so that nothing from a log can run or draw."""
+"""HTML from plain values; all text is escaped, so that nothing from a log can run or draw."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skidsteer.errors import printable
 
 
 class Html(str):
-    """Text that is markup already; any other string is escaped where it is put in."""
+    """Text that is markup already; any other string is escaped when it is inserted."""
 
     __slots__ = ()
 
@@ -79,7 +79,7 @@ def embedded(value: Any, name: str) -> Html:
 
 
 def plain(value: Any) -> Any:
-    """Lists, dictionaries, numbers and texts that JSON knows, of arrays and sequences, too."""
+    """A value as JSON has it: arrays and tuples as lists, NaN and infinity as null."""
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, np.generic):
@@ -92,7 +92,7 @@ def plain(value: Any) -> Any:
 
 
 def chart_text(text: str) -> str:
-    """A line of text for a chart, whose labels take markup: escaped, and without marks that turn or hide others."""
+    """A line of text for a chart, whose labels take markup: escaped, and without marks that reverse or hide text."""
     return html.escape(printable(text), quote=False)
 
 

@@ -1,4 +1,4 @@
-"""Charts of the model: where its ICRs lie on curves, and how its parameters hang together."""
+"""Charts of the model: where its ICRs lie on curves, and how the errors of its parameters correlate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SYMBOLS = ("circle", "square", "diamond", "cross", "triangle-up", "x")
 
 
 def chi_of_model(model: Model, path_curvature: FloatArray, side: float, speed: float, track_width: float) -> FloatArray:
-    """ICR coefficient (k,) of Wang 2015, Eqs. (13), (15), that a model has on curves of lambda (k,) to one side.
+    """ICR coefficient (k,) of a model, Wang 2015, Eqs. (13), (15), on curves of lambda (k,) to one side.
 
     Args:
         model: any.
@@ -37,7 +37,7 @@ def chi_of_model(model: Model, path_curvature: FloatArray, side: float, speed: f
 
 
 def wang_fit(turns: Turns) -> CoefficientFit | None:
-    """Wang's Eq. (44) through the turns that are no straights; None where they cannot tell it."""
+    """Wang's Eq. (44) fitted to the turns; None where they do not determine it."""
     inside = (np.abs(turns.path_curvature) <= MOST_CURVATURE) & (turns.chi > 0.0)
     try:
         found = fit_coefficient(turns.path_curvature[inside], turns.chi[inside])

@@ -1,4 +1,4 @@
-"""The page: head, first screen, sections, data and scripts in one file that asks nothing of any other place."""
+"""The page: head, first screen, sections, data and scripts in one file that loads nothing else."""
 
 from __future__ import annotations
 

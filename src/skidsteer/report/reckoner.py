@@ -1,4 +1,4 @@
-"""How a drive is predicted for the report: by the calibration, or held out, by fits that have not seen the piece."""
+"""Predictions of a drive for the report: by the calibration, or held out, by fits that have not seen the block."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from skidsteer.windows import Mount, Timing, Windows, predict
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One way to predict a drive."""
+    """Model and timing that predict a drive."""
 
     model: Model
     timing: Timing
@@ -35,7 +35,7 @@ class Reckoner:
     """Predictions of one drive.
 
     With two ``parts`` the even blocks between ``edges`` (b + 1,) [s] are predicted by the first, which has not seen
-    them, the odd ones by the second: every piece of the path is held out.
+    them, the odd ones by the second: every block is held out.
     """
 
     drive: Drive
@@ -50,7 +50,7 @@ class Reckoner:
 
     @property
     def timing(self) -> Timing:
-        """Time offset and lag; the mean of those of both parts."""
+        """Time offset and lag; the mean over the parts."""
         offset, lag = np.mean([[p.timing.time_offset, p.timing.lag] for p in self.parts], axis=0).tolist()
         return Timing(offset, lag)
 
@@ -83,13 +83,13 @@ def _block(t: FloatArray, edges: FloatArray) -> np.ndarray:
 def reckoners(
     calibration: Calibration, drives: Sequence[Drive], fit_delay: bool = False, folds: Folds | None = None
 ) -> tuple[Reckoner, ...]:
-    """How each drive is predicted: held out, where they are those that the calibration was made from.
+    """Predictions of each drive: held out, where the drives are those of the calibration.
 
     Args:
         calibration: of the robot.
         drives: any.
         fit_delay: find the time offset of the drives that the calibration was not made from.
-        folds: fits to the odd and even blocks of its own drives; None: made here.
+        folds: fits to the odd and even blocks of its own drives; None: computed here.
     """
     records = {record.sha256 or record.name for record in calibration.provenance.drives}
     seen = [(drive.sha256 or drive.name) in records for drive in drives]
@@ -140,7 +140,7 @@ def fit_options(chosen: Mapping[str, str | float | int | bool | None]) -> FitOpt
 
 
 def known_vehicle(vehicle: Vehicle) -> Vehicle:
-    """The vehicle; what it does not tell of wheel base and factory settings as the preset of its name has it."""
+    """The vehicle, with wheel base and factory settings of the preset of its name where it has none."""
     preset = PRESETS.get(vehicle.name.lower().removeprefix("clearpath-"))
     if preset is None:
         return vehicle
@@ -156,7 +156,7 @@ def known_vehicle(vehicle: Vehicle) -> Vehicle:
 
 
 def uncalibrated(vehicle: Vehicle) -> dict[str, Model]:
-    """What a robot can dead-reckon with before it is calibrated: its track width, and the settings it ships with."""
+    """Models of a robot before calibration: its track width, and the settings it ships with."""
     models: dict[str, Model] = {"nominal": Differential(vehicle.track_width)}
     known = known_vehicle(vehicle)
     if known.factory_separation is not None and known.factory_multiplier is not None:

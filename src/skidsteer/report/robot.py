@@ -1,4 +1,4 @@
-"""The robot from above as a drawing to scale: wheels, body, tread ICRs and where they may lie."""
+"""The robot from above, to scale: wheels, body, tread ICRs and their 95 % ellipses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skidsteer.vehicle import Vehicle
 WIDTH, MARGIN, HEAD, FOOT = 460.0, 42.0, 20.0, 30.0  # of the drawing, in its own units
 STEP = 34.0  # from one measure below the robot to the next
 MOST_HEIGHT = 330.0  # of the robot in it
-BASE = 0.8  # wheel base over track width where nothing is known of it
+BASE = 0.8  # wheel base over track width where unknown
 TREAD = 0.55  # width of a wheel over its radius; drawn only
 
 
@@ -35,8 +35,8 @@ def robot_drawing(vehicle: Vehicle, icrs: TreadIcrs) -> Html:
     """SVG of the robot; colours by class, so that the page's themes apply.
 
     Args:
-        vehicle: its wheel base is guessed where it is unknown, which the drawing then shows by dashes.
-        icrs: where its treads stand still on the ground.
+        vehicle: an unknown wheel base is guessed, and the wheels are dashed.
+        icrs: of its treads.
     """
     base = vehicle.wheel_base or BASE * vehicle.track_width
     reach = ellipse(icrs.covariance[0])[0], ellipse(icrs.covariance[1])[0]

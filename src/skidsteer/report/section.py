@@ -25,7 +25,7 @@ def section(name: str, title: str, *body: Content, charts: Iterable[Chart] = ())
 
 
 def left_out(name: str, title: str, why: str) -> Section:
-    """A section that only says why it is not there."""
+    """A section that only says why it is left out."""
     return section(name, title, tag("p", f"Left out: {why}", class_="left-out"))
 
 

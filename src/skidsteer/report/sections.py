@@ -1,4 +1,4 @@
-"""The sections below the first screen; what a drive does not tell is left out, and says so."""
+"""The sections below the first screen; one without data says why it is left out."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def summary(evidence: Evidence) -> Html:
 
 
 def before_name(evidence: Evidence) -> str:
-    """The model that the robot dead-reckons with today: as it ships, where that is known."""
+    """The model before calibration: as the robot ships, where that is known."""
     return "shipped" if "shipped" in evidence.models else "nominal"
 
 
@@ -131,7 +131,7 @@ def _card(number: Number, before: str) -> Html:
 
 
 def _basis(evidence: Evidence) -> Html:
-    """What the numbers were measured on, and what before and after mean."""
+    """What before and after mean."""
     vehicle, before = known_vehicle(evidence.calibration.vehicle), before_name(evidence)
     if before == "shipped":
         multiplier, separation = vehicle.factory_multiplier or 1.0, vehicle.factory_separation or 0.0
@@ -143,7 +143,7 @@ def _basis(evidence: Evidence) -> Html:
 
 
 def on_what(evidence: Evidence) -> str:
-    """Whether the drives shown were seen by what predicts them."""
+    """Whether the fit that predicts the drives has seen them."""
     if not evidence.drives:
         return "No drive is at hand: what needs one is left out."
     if not evidence.judged:
@@ -180,7 +180,7 @@ def _pair(name: str, icrs: TreadIcrs, i: int) -> str:
 
 
 def _ahead(icrs: TreadIcrs) -> str:
-    """Where the axis that the robot turns about lies."""
+    """Position of the axis of rotation."""
     left, right = icrs.place[:, 0].tolist()
     if abs(left - right) > 1e-3:  # a model in which the treads' ICRs are free
         return f"x = {figure(left, 2)} m of the left one, {figure(right, 2)} m of the right one"

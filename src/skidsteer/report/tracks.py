@@ -1,4 +1,4 @@
-"""A drive's reference and dead reckoning beside it, and the few of many poses that show all there is to see."""
+"""Reference and dead reckoning of a drive, and their thinning without hiding outliers."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from skidsteer.report.reckoner import Reckoner
 from skidsteer.se2 import FloatArray, between, chain, compose, invert
 from skidsteer.windows import Sees, Windows, increment_windows
 
-WORTH_KEEPING = 7  # poses of a stretch that show it: first, ends of x and y, largest error of position and of yaw
+WORTH_KEEPING = 7  # poses of a stretch: first, extremes of x and y, largest error of position and of yaw
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Poses at the stamps of a reference. In each ``piece`` dead reckoning begins with the reference's first pose.
 
-    Where the reference tells positions only, its yaw is 0 and dead reckoning begins with that: it is to be turned to
-    fit before the two are compared. Where a gyro is all there is, the reference's positions are 0.
+    Where the reference has positions only, its yaw is 0 and dead reckoning begins with that: it must be rotated to fit
+    before the two are compared. Where there is only a gyro, the positions of the reference are 0.
     """
 
     name: str
     sees: Sees
     is_held_out: bool
     t: FloatArray  # (n,) [s]
-    piece: np.ndarray  # (n,) number of the piece; nothing is continuous between two
+    piece: np.ndarray  # (n,) number of the piece; between two there is a gap
     poses: Mapping[str, FloatArray]  # reference and models (n, 3), x, y [m] and yaw [rad] unwrapped in the models'
 
     def __len__(self) -> int:
@@ -43,7 +43,7 @@ class Track:
 
 
 def track(reckoner: Reckoner, models: Mapping[str, Model]) -> Track | None:
-    """Dead reckoning along a drive by the calibrated model and by others; None where nothing tells its motion.
+    """Dead reckoning along a drive by the calibrated model and by others; None without reference and gyro.
 
     Args:
         reckoner: of the drive.
@@ -70,7 +70,7 @@ def track(reckoner: Reckoner, models: Mapping[str, Model]) -> Track | None:
 
 
 def _reference(reckoner: Reckoner, windows: Windows, t: FloatArray, begin: np.ndarray, first: np.ndarray) -> FloatArray:
-    """Poses (n, 3) that the reference tells at its stamps t (n,), zero where it does not."""
+    """Poses (n, 3) of the reference at its stamps t (n,), with zeros for what it does not measure."""
     drive = reckoner.drive
     if drive.reference is not None:
         at = drive.reference.values[np.searchsorted(drive.reference.t, t)]
@@ -89,7 +89,7 @@ def _chains(motion: FloatArray, reference: FloatArray, begin: np.ndarray, first:
 
 
 def step_errors(track: Track, name: str) -> FloatArray:
-    """What each motion of a model errs by (n, 3), in the frame where it begins; 0 at the first pose of a piece."""
+    """Error (n, 3) of each motion of a model, in the frame where it begins; 0 at the first pose of a piece."""
     out = np.zeros((len(track), 3))
     joined = np.flatnonzero(track.piece[1:] == track.piece[:-1]) + 1
     here, there = track.poses[name], track.poses["reference"]
@@ -107,9 +107,9 @@ def step_errors(track: Track, name: str) -> FloatArray:
 def thin(track: Track, most: int) -> Track:
     """At most about ``most`` poses, none of them moved.
 
-    Of each stretch those are kept that show it: the first, those where the reference lies farthest to each side, and
-    those where the motion of the calibrated model errs most, so that no outlier is hidden. First and last pose of each
-    piece stay while there is room for them.
+    Of each stretch the first pose is kept, those where the reference lies farthest to each side, and those where the
+    motion of the calibrated model errs most, so that no outlier is hidden. First and last pose of each piece stay while
+    there is room for them.
     """
     n = len(track)
     if n <= most:

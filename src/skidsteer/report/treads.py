@@ -1,4 +1,4 @@
-"""Where the treads stand still on the ground, for any model: points of the robot, with their covariance."""
+"""Tread ICRs of any model, with their covariance."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from skidsteer.calibration import Calibration
 from skidsteer.models import Model
 from skidsteer.se2 import FloatArray
 
-SLOW = 1e-4  # [m/s] of the rims in the turn on the spot that a model which depends on speed is shown at
-STEP = 1e-6  # of a parameter, in differences; upwards, as some must not be negative
+SLOW = 1e-4  # [m/s] of the rims in the turn on the spot at which a model that depends on speed is evaluated
+STEP = 1e-6  # of a parameter, in forward differences, as some must not be negative
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +42,10 @@ def tread_icrs(calibration: Calibration) -> TreadIcrs:
 def places(model: Model) -> FloatArray:
     """Tread ICRs (2, 2) [m] of a model: rows left, right of x, y.
 
-    The body turns about the left tread's ICR while the left rim stands still. There v_x - omega y = 0 and
-    v_y + omega x = 0, so that y = v_x / omega and x = -v_y / omega of the motion that the right rim alone makes. Of a
-    model that is not linear in the rim speeds its slope in a slow turn on the spot is taken. For the ICR model these
-    are (icr_x, icr_y_left) and (icr_x, icr_y_right), Mandow 2007, Eqs. (2)-(5).
+    While the left rim stands still the body turns about the ICR of the left tread. There v_x - omega y = 0 and v_y +
+    omega x = 0, so that y = v_x / omega and x = -v_y / omega in the motion by the right rim alone. A model that is not
+    linear in the rim speeds is linearised in a slow turn on the spot. For the ICR model these are (icr_x, icr_y_left)
+    and (icr_x, icr_y_right), Mandow 2007, Eqs. (2)-(5).
     """
     by_left, by_right = model.speed_jacobian(-SLOW, SLOW).T
     return np.array([[-v_y / omega, v_x / omega] for v_x, v_y, omega in (by_right, by_left)])

@@ -19,7 +19,7 @@ class Curve:
     y: FloatArray  # (n,)
     low: FloatArray | None = None  # (n,)
     high: FloatArray | None = None  # (n,)
-    measured: bool = False  # what the others are held against
+    measured: bool = False  # the reference of the others
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +31,11 @@ class Figure:
     x_label: str  # with the unit
     y_label: str
     curves: tuple[Curve, ...]
-    to_scale: bool = False  # as long upwards as sideways
+    to_scale: bool = False  # with equal axes
 
 
-FEW = 12  # points that are marked
-BESIDE = 5  # curves that are named inside the axes
+FEW = 12  # points up to which they are marked
+BESIDE = 5  # curves up to which the legend is inside the axes
 MEASURED: dict[str, Any] = {"color": "#999999", "linewidth": 2.4, "zorder": 1.5}
 
 

@@ -1,4 +1,4 @@
-"""What the text of Giannoccaro 2015 says of its tables, counted; its equations, put to the test."""
+"""Claims in the text of Giannoccaro 2015 on its tables, counted, and its equations, tested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The law of Huskić 2017, Eq. (10), as printed and corrected, in random states: where its Lyapunov function falls."""
+"""The law of Huskić 2017, Eq. (10), printed and corrected: whether its Lyapunov function decreases in random states."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""A simulated Summit XL on the paths of Huskić 2017, section V: what stands in for the robot, its grounds and drives.
+"""Robot, paths and calibrations for the experiments of Huskić 2017, section V: a simulated Summit XL.
 
-Grass, vinyl and macadam are the terrains ``grass``, ``tiles`` and ``gravel``. Of the path on grass the paper tells the
-length, and that it has straights and representative curvatures: ``COURSE`` is ours. Five lemniscates are 110.77 m.
+The terrains ``grass``, ``tiles`` and ``gravel`` stand for grass, vinyl and macadam. Of the path on grass the paper
+gives the length, and that it has straights and representative curvatures: ``COURSE`` is ours. Five lemniscates are
+110.77 m.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def manoeuvres(speeds: tuple[float, ...], turns: tuple[float, ...]) -> FloatArra
 
 @cache
 def calibrated(plant: str, terrain: str, model: str = "icr") -> Model:
-    """What our own calibration finds on a drive in a plant: ``icr`` on a slow one, other models on one up to 2 m/s."""
+    """Our calibration on a simulated drive: ``icr`` on a slow one, other models on one up to 2 m/s."""
     rows = manoeuvres(SLOW, (0.3, 0.6)) if model == "icr" else manoeuvres(FAST, (0.3, 0.6, 1.0))
     commands = rims_from_manoeuvres(rows, controller(VEHICLE), acceleration=1.0)
     drive = PLANTS[plant]("calibration", VEHICLE, Ground(TERRAINS[terrain]), commands, SENSORS, 0)

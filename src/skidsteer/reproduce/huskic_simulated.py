@@ -1,8 +1,8 @@
 """Simulated counterparts of the experiments of Huskić 2017, section V.
 
-Published gains, the corrected law, the terramechanic plant; the wheels lag by 0.1 s. On grass the pose is the robot's
-own odometry at 50 Hz, elsewhere that of a laser scanner at 10 Hz; neither is late or noisy here. Where a law can drive
-the printed mean speed it is asked for what brings it there.
+Published gains, the corrected law, the terramechanic plant; the wheels lag by 0.1 s. On grass poses come at 50 Hz, as
+from the robot's odometry, elsewhere at 10 Hz, as from a laser scanner, without delay or noise. The speed to ask for is
+searched so that the mean speed is the printed one, where a law can drive that.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from skidsteer.terramechanics.terrain import TERRAINS, Ground
 
 LIMIT = 3.0  # [m/s] of the rims
 ODOMETRY, SCANNER = Sensing(), Sensing(rate=10.0)
-TRIES = 4  # at the speed to ask for
-CLOSE = 0.01  # [m/s] of the mean speed
-MOST = 1.2  # times the printed speed that is asked for
+TRIES = 4  # of the search
+CLOSE = 0.01  # [m/s] tolerance of the mean speed
+MOST = 1.2  # largest speed to ask for, over the printed one
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What the paper drove, and what stands in for it."""
+    """An experiment of the paper, and its counterpart."""
 
     law: str  # Huskić, PBR or SLPINL
     ground: str  # of the paper
@@ -78,7 +78,7 @@ class Trial:
 
 
 def law(name: str, speed: float, model: Icr) -> Controller[Any]:
-    """A law with the gains it was launched with, at a speed [m/s] asked for; of limits it knows the wheels' only."""
+    """A law with the gains of the authors' launch file, at a speed [m/s], limited by the wheels only."""
     if name == "SLPINL":
         return Soetanto(SOETANTO["launch"], speed)
     if name == "PBR":
@@ -88,7 +88,7 @@ def law(name: str, speed: float, model: Icr) -> Controller[Any]:
 
 
 def trial(experiment: Experiment) -> Trial:
-    """Drive an experiment at the printed mean speed, or, where that is not reached, as near to it as was found."""
+    """Drive an experiment at the printed mean speed, or as near to it as possible."""
     found, asked = [], experiment.speed
     for _ in range(TRIES):
         found.append(experiment.drive(asked))

@@ -64,7 +64,7 @@ def reproduction(drive: Drive | None = None) -> Reproduction:
 
 
 def _beside(simulated: Reproduction, scores: dict[str, Score], drive: Drive) -> Reproduction:
-    """The same with a real drive beside."""
+    """The same with a real drive beside it."""
     path, training = halves(drive)
     found = identify(training, controller(drive.vehicle), "auto")
     real = {name: score(model, path, found.timing) for name, model in found.models.items()}
@@ -107,7 +107,7 @@ def symmetric_rows(found: Identified) -> tuple[Row, ...]:
 
 
 def score_rows(scores: dict[str, Score]) -> tuple[Row, ...]:
-    """Table III on the simulated path, and which reading of it can be meant."""
+    """Table III on the simulated path, and which reading of it is meant."""
     why = (
         "simulated: another minute at 0.45 m/s, GPS of 7 mm at 5 Hz, headings from the track; increments of one dead"
         " reckoning along the path; grows with the length of the path, which the paper does not print"

@@ -1,8 +1,8 @@
-"""Mandow's experiment, sections III and IV: identify four models on one drive, reckon another one by them.
+"""Mandow's experiment, sections III and IV: identify four models on one drive, predict another one by them.
 
-Table III can be read in two ways. By Eq. (13) each segment is predicted from where the reference has the robot at its
-beginning. Along the path, the increments are those of one dead reckoning from start to end, in the frame it began in,
-so that a heading that drifts turns all later increments.
+Table III can be read in two ways. By Eq. (13) each segment is predicted from the reference pose at its beginning. Along
+the path, the increments are those of one dead reckoning from start to end, in its initial frame, so that a drift of the
+heading rotates all later increments.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from skidsteer.simulate import Sensors, controller, kinematic_drive, rims_from_m
 from skidsteer.windows import Timing, Windows, increment_windows, predict
 
 GPS_SIGMA = 0.007  # [m] each axis: "a precision under 1 cm"
-YAW_SIGMA = float(np.radians(0.5))  # of the reference that identifies; the paper does not tell how it saw the heading
+YAW_SIGMA = float(np.radians(0.5))  # of the reference for identification; how the paper measured headings is not said
 TICK = 1.0 / 138_000.0  # [m] Eq. (14): 138 ticks a millimetre
-WANDER = (0.004, 0.008)  # [m/sqrt(m)], [rad/sqrt(m)]: what no constant model explains
-START = 10  # positions, 2 s, whose chord tells the heading that dead reckoning begins with
-PIVOTS = (0.1, 0.2, 0.3, 0.5)  # how far from the spot a turn may be to count as one, the strictest first
+WANDER = (0.004, 0.008)  # [m/sqrt(m)], [rad/sqrt(m)] random walk of the motion
+START = 10  # positions, 2 s, whose chord is the initial heading of dead reckoning
+PIVOTS = (0.1, 0.2, 0.3, 0.5)  # of ``StretchOptions``, the strictest first
 OURS = "ours"
 
 
 def training_drive(truth: Model, seed: int) -> Drive:
-    """A simulated P3-AT that identifies: turns on the spot, straights, circles and S-curves at three speeds, 4 min."""
+    """A simulated P3-AT: turns on the spot, straights, circles and S-curves at three speeds, 4 min."""
     rows = [[1.0, 0.0, 0.0]]
     for v in (0.2, 0.35, 0.5):
         stop = [1.0, 0.0, 0.0]
@@ -45,7 +45,7 @@ def training_drive(truth: Model, seed: int) -> Drive:
 
 
 def validation_drive(truth: Model, seed: int) -> Drive:
-    """Another path, a minute at 0.45 m/s, as one GPS antenna sees it: the heading is that of the track."""
+    """Another path, a minute at 0.45 m/s, measured by one GPS antenna: the heading is that of the track."""
     rows = [row for side in (1.0, -1.0, 1.0, 1.0, -1.0, -1.0) for row in ([4.0, 0.45, 0.0], [6.0, 0.45, 0.35 * side])]
     sensors = Sensors(5.0, GPS_SIGMA, 1e-6, encoder_step=TICK)
     rims = rims_from_manoeuvres(np.array(rows), controller(P3AT))
@@ -65,7 +65,7 @@ class Identified:
     models: dict[str, Model]
     timing: Timing
     turns: SymmetricFit | None  # None: no turn on the spot
-    pivot: float  # how far from the spot a turn was allowed to be
+    pivot: float  # of ``StretchOptions`` that was needed
 
 
 def identify(drive: Drive, default: Model, model: str, timing: Timing | None = None) -> Identified:

@@ -1,4 +1,4 @@
-"""Which papers can be reproduced, what that gives, and how it is written down."""
+"""The papers that can be reproduced, and the document of their reproductions."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from skidsteer.reproduce.figure import draw
 from skidsteer.reproduce.markdown import document
 from skidsteer.reproduce.rows import Reproduction
 
-REAL = "warthog-asphalt"  # what stands in for the drives of a paper that prints none
-DATA = "SKIDSTEER_DATA"  # variable that names the folder of real drives
+REAL = "warthog-asphalt"  # stands in for the drives of a paper that does not publish its own
+DATA = "SKIDSTEER_DATA"  # environment variable with the folder of real drives
 
 
 @dataclass(frozen=True, slots=True)
 class Paper:
-    """Where a paper's calculation is, and whether it takes a real drive."""
+    """A paper, the module of its reproduction, and whether that takes a real drive."""
 
     title: str
     module: str  # of this package, with ``reproduction()``; imported when it is asked for
@@ -85,7 +85,7 @@ def reproduce(paper: str, drive: Drive | None = None) -> Reproduction:
 
 
 def real_drive(papers: Sequence[str], path: str | None = None) -> Drive | None:
-    """The drive that stands in where papers take one; None where none does, or none is there.
+    """The real drive for papers that take one; None where none does, or there is none.
 
     Args:
         papers: keys of ``PAPERS``.
@@ -107,7 +107,7 @@ def real_drive(papers: Sequence[str], path: str | None = None) -> Drive | None:
 
 
 def prepare(folder: Path) -> None:
-    """Make the folder for what will be written; to be asked before a long calculation.
+    """Make the folder, before a long calculation.
 
     Raises:
         DataError: it cannot be made.

@@ -1,11 +1,11 @@
-"""Repeated encoder samples under acceleration, Thalmann 2016, section 3.1: which filter finds them?
+"""Repeated encoder samples under acceleration, Thalmann 2016, section 3.1: which filter detects them?
 
-Simulated straight runs: at rest, to 0.5 m/s at 0.25 m/s^2, on at that speed; encoders at 10 Hz that count half
-millimetres. In one of ten samples under acceleration one side tells its last speed again.
+Simulated straight runs: at rest, to 0.5 m/s at 0.25 m/s^2, on at that speed; encoders at 10 Hz with counts of half a
+millimetre. In one of ten samples under acceleration one side repeats its last speed.
 
-The basic model expects the last speed, so a sample that repeats it fits and every other one does not, the less the
-smaller its disturbance acceleration. On the difference of the sides, which a straight run leaves alone, the alternative
-model finds the one that stays behind.
+The basic model expects the last speed: a sample that repeats it is compatible and the others are not, the less so the
+smaller its disturbance acceleration. By the difference of the sides, which is constant on a straight run, the
+alternative model detects the side that stays behind.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ENCODER = 0.003  # [m/s]
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """What the compatibility test (significance 0.1 %) makes of samples under acceleration."""
+    """Result of the compatibility test (significance 0.1 %) on samples under acceleration."""
 
     filter: str
     disturbance: float  # [m/s^2] of the speed, or of each side

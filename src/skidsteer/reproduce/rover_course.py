@@ -53,7 +53,7 @@ def circle_commands() -> Series:
 
 @cache
 def circles(name: str, seed: int) -> tuple[CircleRun, ...]:
-    """The circle runs that the reference of a simulated rover sees."""
+    """The circle runs of a simulated rover, as measured by its reference."""
     return circle_runs_in(_driven(name, circle_commands(), usual_sensors(ROVER), seed))
 
 
@@ -73,7 +73,7 @@ WAYS: dict[str, Callable[[str, int], Driver]] = {"slip ratio": by_slip_ratio, "I
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Laps:
-    """One plan for each repetition of the circle test, and the lap that the plant made of it."""
+    """A plan for each repetition of the circle test, and the lap that the plant drove."""
 
     plans: tuple[Plan, ...]
     paths: tuple[FloatArray, ...]  # (n, 3) of each, from its start

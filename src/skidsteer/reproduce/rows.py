@@ -1,4 +1,4 @@
-"""One line of a reproduction: what a paper prints, what we find, and whether the two agree."""
+"""A reproduction row by row: what a paper prints, our result, and whether they agree."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One printed figure and ours.
+    """A printed number and ours.
 
-    ``reproduced``: ours agrees. ``corrected``: the paper contradicts itself and the right figure is known. ``cannot be
-    reproduced``: its figure does not follow from what it prints. ``not possible without the original data``: the paper
-    measured something, and what stands in for it (a simulation, a real drive of ours) gives our figure. All but
-    ``reproduced`` give a reason.
+    ``reproduced``: they agree. ``corrected``: the paper contradicts itself and the right number is known. ``cannot be
+    reproduced``: the number does not follow from what the paper prints. ``not possible without the original data``: the
+    paper measured it, and ours comes from what stands in for the measurement (a simulation, a real drive of ours). All
+    but ``reproduced`` need a reason.
     """
 
     what: str  # with the place in the paper
-    paper: float  # NaN where it claims without a figure
+    paper: float  # NaN where it claims without a number
     ours: float
     verdict: Verdict
     reason: str = ""
@@ -44,7 +44,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A table or figure of a paper. ``not_computed`` tells why there are neither rows nor a drawing of it."""
+    """A table or figure of a paper. ``not_computed`` says why there are neither rows nor a drawing of it."""
 
     name: str  # as the paper numbers it: "Table 3", "Fig. 12"
     shows: str
@@ -53,7 +53,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Figures side by side: a line for each label, a cell for each head (NaN: there is none)."""
+    """Numbers side by side: a line for each label, a cell for each head (NaN: none)."""
 
     title: str
     head: tuple[str, ...]
@@ -63,13 +63,13 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """All that a paper's calculation gives; ``places`` lists every table and figure that the paper prints."""
+    """The reproduction of a paper; ``places`` lists every table and figure that the paper prints."""
 
     rows: tuple[Row, ...]
     figures: tuple[Figure, ...] = ()
     tables: tuple[Table, ...] = ()
     places: tuple[Place, ...] = ()
-    notes: tuple[str, ...] = ()  # what else was found wrong, or needs a word
+    notes: tuple[str, ...] = ()  # further errors and remarks
 
     def rows_of(self, place: Place) -> tuple[Row, ...]:
         """Rows that name a table or figure."""
@@ -91,7 +91,7 @@ def places_named(text: str) -> set[str]:
 
 
 def compared(what: str, paper: float, ours: float, tolerance: float, reason: str = "") -> Row:
-    """A row that should agree to within a tolerance; ``reason`` says what that is, or why it is not met."""
+    """A row that should agree within a tolerance; ``reason`` explains that, or why it is not met."""
     # The margin is for printed decimals, which are not exact in binary.
     agrees = abs(paper - ours) <= tolerance + 1e-9
     why = reason or f"off by more than {tolerance:g}"
@@ -101,7 +101,7 @@ def compared(what: str, paper: float, ours: float, tolerance: float, reason: str
 
 
 def stands_in(what: str, paper: float, ours: float, reason: str) -> Row:
-    """A row whose figure was measured; ``reason`` says what stands in for the measurement."""
+    """A row whose number was measured; ``reason`` says what stands in for the measurement."""
     return Row(what, paper, ours, "not possible without the original data", reason)
 
 

@@ -1,8 +1,8 @@
 """Thalmann and Neuner 2016, "In-Field Calibrated Odometry for Skid-Steered Mobile Robots", MCG 2016.
 
-The paper's curves are in figures only, its measured drives are not published: what can be compared are the claims of
-its text. Figs. 4 and 5 follow from geometry alone; Figs. 10 to 13 have counterparts on simulated drives
-(``thalmann_drives``, ``repeated_samples``).
+The paper gives its results as figures only, and its drives are not published: what can be compared are the claims of
+its text. Figs. 4 and 5 follow from geometry; Figs. 10 to 13 have counterparts on simulated drives (``thalmann_drives``,
+``repeated_samples``).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ASSUMED = "simulated, with a slip and a wandering that are assumed"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SiteStudy:
-    """One site: what each drive's calibration finds, and the errors over lost windows."""
+    """One site: the calibration of each drive, and the errors in lost windows."""
 
     site: Site
     found: tuple[InField, ...]
@@ -47,7 +47,7 @@ class SiteStudy:
 
     @property
     def reduction(self) -> FloatArray:
-        """By how much, in per cent, the median largest error (k,) falls from the basic to the extended model."""
+        """Reduction [%] of the median largest error (k,) from the basic to the extended model."""
         return np.asarray(100.0 * (1.0 - self.loss.medians(RECKONS) / self.loss.medians("basic")))
 
 

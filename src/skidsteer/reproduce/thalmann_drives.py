@@ -1,9 +1,9 @@
 """Simulated drives after Thalmann 2016, section 3: 6 to 7 minutes of straight lines and arcs at about 0.5 m/s.
 
-The paper prints neither the robot's measures nor its slip: both are assumed. The robot turns with its track width; the
-right side slips a little more than the left one. Encoders count at 10 Hz and sometimes tell one side's last speed again
-while it accelerates (section 3.1); a total station sees the target on the robot at 5 Hz, without a gap. Slip and
-wandering are chosen so that the errors after three minutes are about the paper's; what is tested is the method.
+The paper prints neither the dimensions of the robot nor its slip: both are assumed. The effective track width is the
+nominal one; the right side slips a little more than the left one. Encoders count at 10 Hz and sometimes repeat the last
+speed of one side under acceleration (section 3.1); a total station measures the target on the robot at 5 Hz, without a
+gap. Slip and random walk are chosen so that the errors after three minutes are about the paper's: the method is tested.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ FACTOR = 10  # samples of the simulation to one of the encoders: 100 Hz to 10 Hz
 ACCELERATION = 0.25  # [m/s^2]: two seconds to 0.5 m/s, as in Figs. 8 and 9
 TURNING = 0.1  # [m/s^2] by which the difference of the sides changes
 COUNT = 0.0005  # [m] rolled for one count of an encoder
-REPEATED = 0.02  # share of samples under acceleration in which one side tells its last speed again
+REPEATED = 0.02  # share of samples under acceleration in which one side repeats its last speed
 SENSORS = Sensors(reference_rate=5.0, position_sigma=0.005, yaw_sigma=1e-6)
-WANDER = (0.002, 0.002)  # [m/sqrt(m)], [rad/sqrt(m)] of the pose: what no calibration takes away
+WANDER = (0.002, 0.002)  # [m/sqrt(m)], [rad/sqrt(m)] random walk of the pose, which no calibration removes
 NOISE = SystemNoise(ACCELERATION, 2.0 * TURNING, encoder=0.003, walk=WANDER[0], turn=WANDER[1])
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where the robot drives: how much the right side slips, and how far the lines go."""
+    """Where the robot drives: slip of the right side, and length of the lines."""
 
     name: str
     slip: float  # of the right side; Thalmann's transfer-factor difference
@@ -45,7 +45,7 @@ ROOFTOP = Site("rooftop", 0.0005, 8.0)
 
 
 def drive(site: Site, seed: int) -> tuple[Series, Tracking]:
-    """Wheels (n, 2) [m/s] at 10 Hz as the encoders tell them, and the track of the target, of one drive."""
+    """Wheels (n, 2) [m/s] at 10 Hz by the encoders, and the track of the target, of one drive."""
     rng = np.random.default_rng([seed, int(1e6 * site.slip)])
     rims = _rims(_rounds(site.line, rng))
     truth = TransferFactor(0.0, site.slip, 1.0, ROBOT.track_width)
@@ -80,14 +80,14 @@ def _rims(rows: FloatArray) -> Series:
 
 
 def counted(rims: Series) -> Series:
-    """Speeds at 10 Hz that whole counts of the encoders tell, each of the time until the next."""
+    """Speeds at 10 Hz by whole counts of the encoders, each over the time until the next."""
     rolled = np.concatenate([np.zeros((1, 2)), np.cumsum(rims.values / 100.0, axis=0)])[::FACTOR]
     speeds = np.diff(np.round(rolled / COUNT) * COUNT, axis=0) * 100.0 / FACTOR
     return Series(rims.t[::FACTOR][: len(speeds)], speeds, "wheels")
 
 
 def with_repeats(wheels: Series, share: float, rng: np.random.Generator) -> tuple[Series, np.ndarray]:
-    """Let one side tell its last speed again in a share of the samples under acceleration.
+    """Let one side repeat its last speed in a share of the samples under acceleration.
 
     Returns:
         The wheels, and a mask (n, 2) of the samples that repeat.

@@ -1,4 +1,4 @@
-"""What Thalmann 2016 shows; Figs. 7 to 10: a drive and the drift of its odometry, one straight run in detail."""
+"""Tables and figures of Thalmann 2016; Figs. 7 to 10: a drive and the drift of its odometry, one straight run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from skidsteer.reproduce.thalmann_drives import ACCELERATION, LABORATORY, ROBOT,
 
 DISTURBANCE = 0.1  # [m/s^2] of the speed, or of each side
 SIGNIFICANCE = 0.001
-REPEATED = 2.45  # [s] after which the left side tells its last speed again, once
+REPEATED = 2.45  # [s] after which the left side repeats its last speed once
 CALIBRATED_SEED = 1
 V_LEFT = 3  # of the basic filter's state
 PLACES = (

@@ -1,8 +1,8 @@
 """Wang's 40 runs, sections 3.1 and 3.4, and the dead reckoning of 3.5: a simulated robot before a simulated scanner.
 
-Each run goes as in the paper: the robot drives with held rim speeds in sight of the scanner, encoder counts tell what
-the sides roll, the plate tells how far the robot turns. Eq. (25) takes the two ends of a turn; here a line through the
-angles of all scans at constant speed takes their place. The scanner makes every third of its 270 scans a second.
+Each run is as in the paper: the robot drives with constant rim speeds in sight of the scanner, encoder counts give what
+the sides roll, the plate gives the angle. In place of the two ends of a turn, Eq. (25), a line is fitted to the angles
+of all scans at constant speed. The scanner makes a third of its 270 scans a second.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ EXAMPLE = np.array([[0.2, 0.15], [0.2, 0.1], [0.3, 0.1], [0.4, 0.0], [0.3, 0.2],
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Watched:
-    """A drive before the scanner: what encoders and plate tell of it."""
+    """A drive in front of the scanner, by encoders and plate."""
 
     wheels: Series  # (n, 2) rim speeds [m/s] by counts
     poses: Series  # (k, 3) in the scanner's frame, as the plate tells
-    motion: Motion  # that neither tells, from where it began
+    motion: Motion  # the true one, from the origin
 
     def rolled(self, t: FloatArray) -> FloatArray:
         """What the sides (k, 2) have rolled [m] at times t (k,)."""
@@ -73,7 +73,7 @@ class Watched:
 
 
 def watch(rims: ArrayLike, durations: ArrayLike, terrain: Terrain, seed: int) -> Watched:
-    """Drive held rim speeds (k, 2) [m/s] for durations (k,) [s] one after the other, and look on.
+    """Drive rim speeds (k, 2) [m/s] for durations (k,) [s] one after the other, in front of the scanner.
 
     Raises:
         RequestError: speeds beyond what the robot's wheels can do.
@@ -92,12 +92,12 @@ def watch(rims: ArrayLike, durations: ArrayLike, terrain: Terrain, seed: int) ->
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Runs:
-    """The runs and what came of them, for each of n."""
+    """The n runs and their results."""
 
     path_curvature: FloatArray  # lambda
     speed: FloatArray  # [m/s]
     chi: FloatArray  # by counts and scans, Eqs. (15), (25), (36)
-    steady_chi: FloatArray  # of the plant itself: forces in balance
+    steady_chi: FloatArray  # of the plant itself, forces in balance
     scale: float  # by which the counted distances were corrected, Eq. (42)
 
     def of(self, path_curvature: float) -> FloatArray:
@@ -125,7 +125,7 @@ def runs(protocol: ArrayLike | None = None, terrain: Terrain = TILES) -> Runs:
 
 
 def _scale(terrain: Terrain, seed: int) -> float:
-    """Way over the ground for each metre counted, on a straight."""
+    """Distance over the ground for each metre counted, on a straight."""
     speed, duration = STRAIGHT
     seen = watch([[speed, speed]], [duration], terrain, seed)
     standing = [seen.between(0.0, STAND), seen.between(seen.wheels.t[-1] - STAND, seen.wheels.t[-1])]
@@ -148,7 +148,7 @@ def _chi(row: FloatArray, scale: float, terrain: Terrain, seed: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reckonings:
-    """The example path: where the scanner saw the robot, and where counts alone lead by two models.
+    """The example path: poses by the scanner, and by dead reckoning with two models.
 
     The models are "P3-AT" and "proposed"; of "P3-AT, slide known" and "proposed, slide known" the sideways speed is the
     plant's own.
@@ -157,19 +157,19 @@ class Reckonings:
     t: FloatArray  # (k,) [s] from the first command
     seen: FloatArray  # (k, 3) in the scanner's frame
     by_model: dict[str, FloatArray]  # (k, 3) each
-    slid: float  # [m] what the robot went sideways, to its left
+    slid: float  # [m] sideways motion of the robot, to its left
 
     def errors(self, model: str) -> FloatArray:
-        """Root mean square errors (3,) across and along the look of the scanner [m], the X and Y of Fig. 14; yaw."""
+        """Root mean square errors (3,) across and along the scanner's axis [m], the X and Y of Fig. 14; yaw [rad]."""
         return np.asarray(np.sqrt(np.mean(self.off(model) ** 2, axis=0))[[1, 0, 2]])
 
     def off(self, model: str) -> FloatArray:
-        """By how much (k, 3) a model errs, in the scanner's frame."""
+        """Errors (k, 3) of a model in the scanner's frame."""
         return np.asarray(self.by_model[model] - self.seen)
 
 
 def reckonings(found: Runs) -> Reckonings:
-    """Drive the path of Eq. (48) and reckon it by chi = 1.5, Eq. (46), and by the fitted curve, Eq. (47)."""
+    """The path of Eq. (48), and its dead reckoning by chi = 1.5, Eq. (46), and by the fitted curve, Eq. (47)."""
     seen = watch(EXAMPLE, np.ones(len(EXAMPLE)), TILES, SEED_EXAMPLE)
     models: dict[str, Model] = {
         "P3-AT": SymmetricIcr(FACTORY_Y, found.scale),

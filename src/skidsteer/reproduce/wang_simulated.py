@@ -21,7 +21,7 @@ SPEED = 0.3  # [m/s] of Figs. 5 and 13
 FLOOR = "on the floor `tiles`, two numbers of which were fitted to this table"
 RUN = (0.25, 0.475)  # [m/s], [m] of Fig. 11
 TURNED = 1.6  # [rad] turned in it, for the plate to be seen
-APART = 20  # scans between which a velocity is taken: over a single one noise would be all
+APART = 20  # scans over which a velocity is taken
 AXES = ("x [m]", "y [m]", "heading [rad]")
 
 
@@ -152,7 +152,7 @@ def _measured() -> Curve:
 
 
 def _one_run_figures() -> tuple[Figure, Figure]:
-    """The run of Fig. 11: 0.25 m/s on a radius of 0.475 m, as the plate tells it."""
+    """The run of Fig. 11: 0.25 m/s on a radius of 0.475 m, by the plate."""
     speed, radius = RUN
     rims = rims_on_path([radius / (0.5 * PRINTED_CHI * TRACK_WIDTH)], speed)
     seen = watch(rims, [TURNED * radius / speed], TERRAINS["tiles"], 11).poses
