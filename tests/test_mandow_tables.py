@@ -6,41 +6,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from skidsteer.models import Icr, SymmetricIcr
+from skidsteer.models import SymmetricIcr
 from skidsteer.p3at import P3at, from_model, printed_ticksmm, revcount, ticksmm, to_model
-
-# Columns of Tables I and II in Mandow's frame, y forward, x right: y_ICRv, x_ICRr, x_ICRl, alpha_r, alpha_l, chi, e.
-TABLES = {
-    "asphalt, 50 psi": (-0.0080, 0.2998, -0.2758, 0.9253, 0.9464, 0.6949, 0.0417),
-    "asphalt, 20 psi": (-0.0120, 0.3071, -0.2553, 0.9049, 0.9271, 0.7112, 0.0921),
-    "asphalt, solid": (-0.0120, 0.2588, -0.2667, 0.9128, 0.9047, 0.7612, -0.0150),
-    "concrete, 50 psi": (-0.0159, 0.2758, -0.2878, 0.9418, 0.9457, 0.7098, -0.0213),
-    "concrete, 20 psi": (-0.0128, 0.2899, -0.2772, 0.9183, 0.9222, 0.7053, 0.0224),
-    "concrete, solid": (-0.0139, 0.2703, -0.2659, 0.9139, 0.9047, 0.7460, 0.0082),
-}
-TRACK = 0.4  # [m] Section IV.A
+from skidsteer.reproduce.mandow2007_printed import TABLES, Column, model_of
 
 
-def in_our_frame(column: tuple[float, ...]) -> Icr:
-    y_icr, x_right, x_left, alpha_right, alpha_left = column[:5]
-    return Icr(-x_left, -x_right, y_icr, alpha_left, alpha_right)
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_steering_efficiency_and_eccentricity_are_the_printed_ones(name: str) -> None:
-    model, (chi, e) = in_our_frame(TABLES[name]), TABLES[name][5:]
-    assert_allclose(model.steering_efficiency(TRACK), chi, atol=1e-4)  # Eq. (9)
-    assert_allclose(model.eccentricity(), e, atol=1e-4)  # Eq. (10)
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_matrix_is_that_of_the_paper(name: str) -> None:
-    y, right, left, alpha_r, alpha_l = TABLES[name][:5]
+@pytest.mark.parametrize("column", [column for table in TABLES.values() for column in table])
+def test_matrix_is_that_of_the_paper(column: Column) -> None:
+    y, right, left, alpha_r, alpha_l = column[:5]
     paper = np.array(  # Eq. (7): rows v_x (to the right), v_y (forward), omega
         [[-y * alpha_l, y * alpha_r], [right * alpha_l, -left * alpha_r], [-alpha_l, alpha_r]]
     ) / (right - left)
     forward, leftward, turning = paper[1], -paper[0], paper[2]
-    assert_allclose(in_our_frame(TABLES[name]).matrix(), [forward, leftward, turning], rtol=1e-12)
+    assert_allclose(model_of(column).matrix(), [forward, leftward, turning], rtol=1e-12)
 
 
 def test_factory_integers() -> None:
