@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import itertools
@@ -10,6 +11,7 @@ import logging
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -260,10 +262,37 @@ def plain() -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("interrupted", [compiled, plain])
+def hidden() -> None:
+    """Ctrl-C while a compiled module is imported, which makes an error of its own of it."""
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    raise ImportError("failed to import")
+
+
+@pytest.mark.parametrize("interrupted", [compiled, plain, hidden])
 def test_an_interruption_is_one_line(interrupted: object, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("skidsteer.samples.sample", lambda _: interrupted())  # type: ignore[operator]
     assert call("sample", "p3at-mandow") == (130, "", "skidsteer: interrupted\n")
+
+
+def test_an_interruption_while_the_commands_are_read_is_one_line() -> None:
+    code = """
+import sys
+class Struck:
+    def find_spec(self, name, *rest):
+        if name == "typer":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Struck())
+from skidsteer.cli import main
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "skidsteer: interrupted\n")
+
+
+def test_ctrl_c_is_heard_as_before_once_a_command_is_done(call: Call) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    assert call("sample")[0] == 0
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_fault_of_our_own_is_no_interruption(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,14 @@
 The names below are imported when they are first used, so that ``import skidsteer`` costs nothing.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+TYPE_CHECKING = False  # as the one of typing, whose import takes longer than all of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from skidsteer.calibration import Calibration
     from skidsteer.drive import Drive, Series
     from skidsteer.errors import DataError, RequestError, SkidSteerError

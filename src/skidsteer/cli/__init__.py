@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
-import io
-import logging
-import os
 import sys
 
-import typer
+INTERRUPTED = 130  # exit code of a shell
+TOLD = "skidsteer: interrupted\n"
 
-from skidsteer.cli import (  # noqa: F401  (each adds its commands)
-    drives,
-    driving,
-    exporting,
-    models,
-    papers,
-    planning,
-    results,
-)
-from skidsteer.cli.words import app
+try:
+    import io
+    import logging
+    import os
+    import signal
+    from collections.abc import Iterator
+    from contextlib import contextmanager
+    from types import FrameType
+
+    import typer
+
+    from skidsteer.cli import (  # noqa: F401  (each adds its commands)
+        drives,
+        driving,
+        exporting,
+        models,
+        papers,
+        planning,
+        results,
+    )
+    from skidsteer.cli.words import app
+except KeyboardInterrupt:  # Ctrl-C while all this is read
+    sys.stderr.write(TOLD)
+    sys.exit(INTERRUPTED)
 
 ORDER = (  # as a user comes to need them
     *("calibrate", "check", "evaluate", "compare", "report", "export", "odometry", "terrains"),
     *("design", "simulate", "plan", "follow", "sample", "figure", "reproduce"),
 )
 app.registered_commands.sort(key=lambda command: ORDER.index(command.callback.__name__ if command.callback else ""))
-
-
-INTERRUPTED = 130  # exit code of a shell
 
 
 class OneLine(logging.Formatter):
@@ -40,8 +49,38 @@ class OneLine(logging.Formatter):
         return printable(record.getMessage())
 
 
+@contextmanager
+def _listening() -> Iterator[list[int]]:
+    """A list that is empty until Ctrl-C, which compiled modules that are being imported make another error of."""
+    struck: list[int] = []
+
+    def strike(number: int, frame: FrameType | None) -> None:
+        struck.append(number)
+        signal.default_int_handler(number, frame)
+
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if usual:
+        signal.signal(signal.SIGINT, strike)
+    try:
+        yield struck
+    finally:
+        if usual:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main() -> None:
     """Run the command line; what is the user's to mend ends as one line and exit code 1."""
+    with _listening() as struck:
+        try:
+            _run()
+        except BaseException as error:
+            if not (struck or _interrupts(error)):
+                raise
+            sys.stderr.write(TOLD)
+            sys.exit(INTERRUPTED)
+
+
+def _run() -> None:
     from skidsteer.errors import SkidSteerError, printable
 
     for stream in (sys.stdout, sys.stderr):
@@ -62,11 +101,6 @@ def main() -> None:
         if not isinstance(error, BrokenPipeError):
             typer.echo(f"skidsteer: cannot write to standard output: {error.strerror or error}", err=True)
         sys.exit(1)
-    except (KeyboardInterrupt, SystemError, SystemExit) as error:
-        if not _interrupts(error):
-            raise
-        typer.echo("skidsteer: interrupted", err=True)
-        sys.exit(INTERRUPTED)
 
 
 def _interrupts(error: BaseException) -> bool:

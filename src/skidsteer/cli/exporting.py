@@ -16,7 +16,9 @@ from skidsteer.sources import Source, on_drives
 def export(
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="calibration.yaml, or its folder")],
     source: Source,
-    to: Annotated[str, typer.Option(metavar="FORMAT", help="ros2-control, robot-localization, p3at or json")],
+    to: Annotated[
+        str, typer.Option(metavar="FORMAT", help="ros2-control, ros1-control, robot-localization, p3at or json")
+    ],
     drives: Annotated[
         list[str] | None,
         typer.Argument(metavar="DRIVE", help=f"to measure on what multipliers lose: {DRIVE_HELP}"),
@@ -32,7 +34,7 @@ def export(
     window: Window = 2.0,
     profile: Profile = None,
 ) -> None:
-    """A calibration for other software: ROS 2, a Pioneer, JSON. Parameters to paste, with what is lost in them."""
+    """A calibration for other software: ROS, a Pioneer, JSON. Parameters to paste, with what is lost in them."""
     from skidsteer.export import Settings, force, text
     from skidsteer.io.atomic import write_text
     from skidsteer.io.calibration_file import load_calibration
