@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import yaml
 
 from report_drives import lab
 from skidsteer import export
-from skidsteer.errors import DataError, RequestError
+from skidsteer.errors import DataError, RequestError, printable
 from skidsteer.io.calibration_file import calibration_text, load_calibration
 
 Key = tuple[str, ...]
@@ -82,3 +83,21 @@ def test_a_robot_that_is_no_pioneer_has_no_integers(content: Any, radius: float,
     known = load_calibration(edited(content, ("vehicle", "wheel_radius"), radius, tmp_path / "calibration.yaml"))
     with pytest.raises(RequestError, match="is no Pioneer P3-AT"):
         export.text(known, "p3at")
+
+
+def test_no_name_in_the_file_turns_the_text_of_who_shows_it(tmp_path: Path) -> None:
+    """Marks of direction, of other planes, too, are told by their numbers; what people read stays as it is."""
+    names = ("\u202egnp.yaml", "a\u2066b\u2069: - é \u200f 日本", "\U000e0041 \x9b tab\t", "plain")
+    known = lab()[0]
+    records = tuple(replace(known.provenance.drives[0], name=name, source=name) for name in names)
+    warnings = (*known.warnings, f"{names[0]}: odd")
+    odd = replace(known, warnings=warnings, provenance=replace(known.provenance, drives=records))
+    text = calibration_text(odd)
+    assert all(c == "\n" or printable(c) == c for c in text)
+    assert "é" in text
+    assert "日本" in text
+    file = tmp_path / "calibration.yaml"
+    file.write_text(text, encoding="utf-8")
+    again = load_calibration(file)
+    assert tuple(d.name for d in again.provenance.drives) == names
+    assert again.warnings == warnings

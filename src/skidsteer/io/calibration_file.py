@@ -21,7 +21,7 @@ from skidsteer.calibration import (
     Provenance,
     WeakDirection,
 )
-from skidsteer.errors import DataError
+from skidsteer.errors import DataError, printable
 from skidsteer.io.atomic import write_text
 from skidsteer.io.text_file import decode, read_bytes
 from skidsteer.io.vehicle_file import VehicleFile
@@ -187,7 +187,19 @@ def calibration_text(calibration: Calibration) -> str:
     content = {"skidsteer_calibration": SCHEMA, **_content(calibration)}
     if calibration.profiles:
         content["profiles"] = {name: _content(profile) for name, profile in calibration.profiles.items()}
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    return "".join(c if c == "\n" or printable(c) == c else f"\\U{ord(c):08X}" for c in text)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Puts text in double quotes where a character of it is to be told by its number, or it would turn the rest."""
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if printable(text) == text else '"')
+
+
+_Dumper.add_representer(str, _text)
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:
