@@ -65,5 +65,10 @@ def _comments(calibration: Calibration, settings: Settings, has_gyro: bool) -> s
             f"The drives had a gyro: its turn erred by {calibration.noise.gyro:.2g} rad after a second. Where its"
             " driver gives no covariance, let that of angular_velocity z be the square of this times the IMU's rate."
         )
+    told.append(
+        f"{NODE} and odom0 are named as by the software itself; on Clearpath's robots they are ekf_node and"
+        " platform/odom. Parameters under a name that no node has are ignored without a word. In ROS 1, load what"
+        " stands below ros__parameters into the node's own namespace."
+    )
     told.append("Checked against the documented parameters, not on a robot with ROS.")
     return comment(*told)

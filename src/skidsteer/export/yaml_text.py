@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterable
 from typing import Any
@@ -11,6 +12,19 @@ import yaml
 from skidsteer.errors import printable
 
 WIDTH = 100
+# What ROS 2's own parser takes for a bool or a number though YAML does not: y, 1e5, 017, inf.
+_NO_TEXT = re.compile(r"[yn]|[-+]?(\.?\d.*|inf(inity)?|nan.*)", re.IGNORECASE)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes every text that somebody could read as something else."""
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style="'" if _NO_TEXT.fullmatch(text) else None)
+
+
+_Dumper.add_representer(str, _text)
 
 
 def comment(*paragraphs: str) -> str:
@@ -27,7 +41,7 @@ def comment(*paragraphs: str) -> str:
 
 def mapping(content: dict[str, Any]) -> str:
     """A mapping as YAML, in its own order, with lists on one line."""
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=WIDTH)
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=WIDTH)
 
 
 def rounded(values: Iterable[float], digits: int = 6) -> list[float]:
