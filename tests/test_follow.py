@@ -497,11 +497,16 @@ def test_a_start_farther_off_may_be_allowed() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Sensing(rate=0.0), "rate of the controller must be above 0 Hz"),
-        (lambda: Sensing(delay=-0.1), r"the delay of the poses \[s\] must be at least 0, got -0.1"),
-        (lambda: Sensing(yaw_sigma=math.nan), "the noise of the yaw must be at least 0, got nan"),
+        (lambda: Sensing(rate=0.0), "rate of the controller must be from 0.1 to 1000 Hz, got 0"),
+        (lambda: Sensing(delay=-0.1), r"the delay of the poses must be at least 0 and at most 10 s, got -0.1"),
+        (lambda: Sensing(yaw_sigma=math.nan), "the noise of the yaw must be at least 0 and at most 180 deg, got nan"),
         (lambda: Sensing(lost=((2.0, 1.0),)), "poses are lost from one time to a later one, got 2.0 to 1.0 s"),
-        (lambda: Jump(math.inf), "a jump needs finite numbers, got 0 m ahead, inf m left, 0 rad"),
+        (lambda: Jump(math.inf), "a jump needs numbers of at most 10000, got 0 m ahead, inf m left, 0 rad"),
+        (lambda: Sensing(delay=1e6), "the delay of the poses must be at least 0 and at most 10 s, got 1e\\+06"),
+        (
+            lambda: Sensing(wheel_sigma=99.0),
+            "noise of the rim speeds must be at least 0 and at most 10 m/s, got 99",
+        ),
         (lambda: Jump(0.5, time=math.nan), "a jump needs a time in s, or a share"),
         (lambda: Ends(laps=0.0), "laps must be above 0"),
         (lambda: Ends(off=math.nan), r"the distance off the path \[m\] must be above 0, got nan"),
@@ -509,7 +514,7 @@ def test_a_start_farther_off_may_be_allowed() -> None:
             lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, 0.0),
             "acceleration of the wheels must be above 0",
         ),
-        (lambda: Sensing(pose_rate=0.0), "the rate of the poses must be above 0 Hz, got 0"),
+        (lambda: Sensing(pose_rate=0.0), "the rate of the poses must be at least 0.01 Hz, got 0"),
         (
             lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, pose_rate=math.nan),
             "the rate of the poses must be above 0 Hz, got nan",

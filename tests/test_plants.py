@@ -124,7 +124,13 @@ def test_manoeuvres_of_more_than_a_day_are_refused() -> None:
 
 def test_speeds_within_the_limit_pass() -> None:
     refuse_fast(P3AT, Series(np.arange(2.0), np.full((2, 2), -0.69)))
-    refuse_fast(replace(P3AT, max_wheel_speed=None), Series(np.arange(2.0), np.full((2, 2), 99.0)))
+    refuse_fast(replace(P3AT, max_wheel_speed=None), Series(np.arange(2.0), np.full((2, 2), 19.0)))
+
+
+def test_speeds_of_no_robot_are_refused() -> None:
+    unknown = replace(P3AT, max_wheel_speed=None)
+    with pytest.raises(RequestError, match=r"asked for 99.000 m/s at 0.00 s, but no robot reaches 20 m/s"):
+        refuse_fast(unknown, Series(np.arange(2.0), np.full((2, 2), 99.0)))
 
 
 # Grounds in words

@@ -210,3 +210,23 @@ def test_the_sample_was_driven_by_its_truth() -> None:
 def test_an_unknown_sample_lists_those_there_are() -> None:
     with pytest.raises(RequestError, match=r"^no sample 'p3at'; there are: .*p3at-mandow"):
         sample("p3at")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position_sigma": 100.0}, "sensors: position_sigma must be from 0 to 10 m, got 100"),
+        ({"yaw_sigma": -0.1}, "sensors: yaw_sigma must be from 0 to 3.14 rad, got -0.1"),
+        ({"gyro_bias": np.nan}, "sensors: gyro_bias must be from -10 to 10 rad/s, got nan"),
+        ({"reference_rate": 0.0}, "sensors: reference_rate must be from 0.001 to 1e\\+04 Hz, got 0"),
+    ],
+)
+def test_sensors_that_cannot_be(change: dict[str, float], message: str) -> None:
+    with pytest.raises(RequestError, match=message):
+        replace(NO_NOISE, **change)
+
+
+@pytest.mark.parametrize("noise", [(100.0, 0.0), (0.01, 100.0), (-1e-3, 0.0), (np.nan, 0.0)])
+def test_motion_noise_that_cannot_be(noise: tuple[float, float]) -> None:
+    with pytest.raises(RequestError, match=r"motion noise must be from 0 to 1 m and 3.14 rad, each for a way of 1 m"):
+        kinematic_drive("d", P3AT, TRUTH, RIMS, NO_NOISE, motion_noise=noise)

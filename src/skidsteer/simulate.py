@@ -19,12 +19,32 @@ from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Mount, Timing, Windows, predict
 
 CENTRE = Mount()
+FASTEST = 20.0  # [m/s] of a rim: no skid-steer robot
 MARGIN = 0.05  # [s] from the ends of the wheels' log to the first and the last reference
+
+
+CREDIBLE = {  # least and most of what a sensor may be told to do: beyond, a number is in another unit
+    "reference_rate": (1e-3, 1e4, "Hz"),
+    "position_sigma": (0.0, 10.0, "m"),
+    "yaw_sigma": (0.0, np.pi, "rad"),
+    "stamp_sigma": (0.0, 1.0, "s"),
+    "reference_delay": (-60.0, 60.0, "s"),
+    "encoder_step": (0.0, 1.0, "m"),
+    "encoder_rate": (0.0, 1e4, "Hz"),
+    "gyro_rate": (0.0, 1e4, "Hz"),
+    "gyro_sigma": (0.0, 10.0, "rad/s"),
+    "gyro_bias": (-10.0, 10.0, "rad/s"),
+}
+MOST_WALK = (1.0, np.pi)  # [m/sqrt(m)], [rad/sqrt(m)] of a motion's noise
 
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """What the simulated robot carries. Times in s, lengths in m, angles in rad."""
+    """What the simulated robot carries. Times in s, lengths in m, angles in rad.
+
+    Raises:
+        RequestError: a number outside ``CREDIBLE``.
+    """
 
     reference_rate: float = 5.0  # [Hz]
     position_sigma: float = 0.01  # [m] each axis
@@ -39,6 +59,11 @@ class Sensors:
     gyro_rate: float = 0.0  # [Hz]; 0: no gyro
     gyro_sigma: float = 0.002  # [rad/s] each sample
     gyro_bias: float = 0.0  # [rad/s]
+
+    def __post_init__(self) -> None:
+        for name, (least, most, unit) in CREDIBLE.items():
+            if not least <= (value := getattr(self, name)) <= most:
+                raise RequestError(f"sensors: {name} must be from {least:g} to {most:.3g} {unit}, got {value:g}")
 
 
 PLAIN = Sensors()
@@ -110,7 +135,15 @@ def kinematic_drive(
 
     Returns:
         A drive with wheels and reference poses on the same clock, the reference late by its delay.
+
+    Raises:
+        RequestError: a motion noise that is negative or beyond ``MOST_WALK``, a motion shorter than two references.
     """
+    if not all(0.0 <= noise <= most for noise, most in zip(motion_noise, MOST_WALK, strict=True)):
+        raise RequestError(
+            f"motion noise must be from 0 to {MOST_WALK[0]:g} m and {MOST_WALK[1]:.3g} rad, each for a way of 1 m,"
+            f" got {motion_noise[0]:g} and {motion_noise[1]:g}"
+        )
     rng = np.random.default_rng(seed)
     t = _reference_times(rims, sensors)
     motion = _motions(model, rims, t[:-1], t[1:], lag)
@@ -233,20 +266,21 @@ def controller(vehicle: Vehicle) -> Differential:
 
 
 def refuse_fast(vehicle: Vehicle, commands: Series) -> None:
-    """Refuse rim speeds (n, 2) [m/s] that the wheels of a vehicle cannot reach.
+    """Refuse rim speeds (n, 2) [m/s] that the wheels of a vehicle cannot reach, or of no robot where that is unknown.
 
     Raises:
         RequestError: one of them is beyond ``max_wheel_speed``, or they are not of two sides.
     """
     if commands.values.shape[1] != 2:
         raise RequestError(f"commands need two columns, left and right rim speed, got {commands.values.shape[1]}")
-    limit, size = vehicle.max_wheel_speed, np.abs(commands.values)
-    if limit is None or size.max() <= limit * (1.0 + 1e-9):
+    limit, size = vehicle.max_wheel_speed or FASTEST, np.abs(commands.values)
+    if size.max() <= limit * (1.0 + 1e-9):
         return
     at, side = np.unravel_index(size.argmax(), size.shape)
+    reached = f"{vehicle.name} reaches {limit} m/s" if vehicle.max_wheel_speed else f"no robot reaches {limit:g} m/s"
     raise RequestError(
         f"the {('left', 'right')[side]} wheels are asked for {commands.values[at, side]:.3f} m/s at"
-        f" {commands.t[at]:.2f} s, but {vehicle.name} reaches {limit} m/s; drive slower or turn less"
+        f" {commands.t[at]:.2f} s, but {reached}; drive slower or turn less"
     )
 
 

@@ -18,13 +18,16 @@ from skidsteer.se2 import FloatArray, compose, invert
 
 Triple = tuple[float, float, float]
 BLOCK = 1000  # samples of noise drawn at once
-NOT_NEGATIVE = {
-    "delay": "delay of the poses [s]",
-    "position_sigma": "noise of the positions [m]",
-    "yaw_sigma": "noise of the yaw",
-    "wheel_sigma": "noise of the rim speeds [m/s]",
-    "gyro_sigma": "noise of the gyro [rad/s]",
+LIMITS = {  # the most that is taken, above which a number is in another unit; all of them are at least 0
+    "delay": (10.0, "delay of the poses", "10 s"),
+    "position_sigma": (10.0, "noise of the positions", "10 m"),
+    "yaw_sigma": (math.pi, "noise of the yaw", "180 deg"),
+    "wheel_sigma": (10.0, "noise of the rim speeds", "10 m/s"),
+    "gyro_sigma": (10.0, "noise of the gyro", "10 rad/s"),
 }
+FAR = 1e4  # [m], [rad] of a jump
+RATES = 0.1, 1000.0  # [Hz] of the controller
+SELDOM = 0.01  # [Hz] poses come at least that often
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +42,11 @@ class Jump:
 
     def __post_init__(self) -> None:
         sizes = self.ahead, self.left, self.turn
-        if not all(map(math.isfinite, sizes)):
-            raise RequestError("a jump needs finite numbers, got {:g} m ahead, {:g} m left, {:g} rad".format(*sizes))
+        if not all(abs(size) <= FAR for size in sizes):
+            raise RequestError(
+                f"a jump needs numbers of at most {FAR:g}, got {sizes[0]:g} m ahead, {sizes[1]:g} m left,"
+                f" {sizes[2]:g} rad"
+            )
         if math.isnan(self.time) or math.isnan(self.share):
             raise RequestError("a jump needs a time in s, or a share of the way in %, got nan")
 
@@ -50,8 +56,8 @@ class Sensing:
     """Of the closed loop: how often it runs, and what is wrong with what it is told.
 
     Raises:
-        RequestError: a rate that is not above 0, a delay or sigma below 0, a time without poses that ends before it
-            begins.
+        RequestError: a rate, delay or sigma beyond ``RATES``, ``SELDOM`` or ``LIMITS``, a time without poses that ends
+            before it begins.
     """
 
     rate: float = 50.0  # [Hz] of the controller
@@ -65,13 +71,15 @@ class Sensing:
     pose_rate: float | None = None  # [Hz] None, or more than the controller's: one comes in each of its samples
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.rate <= 1000.0:
-            raise RequestError(f"the rate of the controller must be above 0 Hz and at most 1000, got {self.rate}")
-        if self.pose_rate is not None and not 0.0 < self.pose_rate < math.inf:
-            raise RequestError(f"the rate of the poses must be above 0 Hz, got {self.pose_rate:g}")
-        for name, words in NOT_NEGATIVE.items():
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise RequestError(f"the {words} must be at least 0, got {getattr(self, name):g}")
+        if not RATES[0] <= self.rate <= RATES[1]:
+            raise RequestError(
+                f"the rate of the controller must be from {RATES[0]:g} to {RATES[1]:g} Hz, got {self.rate:g}"
+            )
+        if self.pose_rate is not None and not SELDOM <= self.pose_rate < math.inf:
+            raise RequestError(f"the rate of the poses must be at least {SELDOM} Hz, got {self.pose_rate:g}")
+        for name, (most, words, told) in LIMITS.items():
+            if not 0.0 <= getattr(self, name) <= most:
+                raise RequestError(f"the {words} must be at least 0 and at most {told}, got {getattr(self, name):g}")
         for start, end in self.lost:
             if not start < end:
                 raise RequestError(f"poses are lost from one time to a later one, got {start} to {end} s")

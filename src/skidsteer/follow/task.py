@@ -25,6 +25,7 @@ from skidsteer.vehicle import Vehicle
 SLOWEST = 0.25  # of the speed asked for, on average: slower than that the time is up
 SPARE = 30.0  # [s] more
 SHORTEST = 0.5  # [s] that can be recorded
+LARGEST_LAG = 10.0  # [s] of wheels that still follow
 LONGEST = 3600.0  # [s] of a drive at the speed asked for
 
 
@@ -41,8 +42,8 @@ class Task:
     """What is to be driven.
 
     Raises:
-        RequestError: a vehicle whose wheel speed is not known, wheels that cannot be, laps of an open path, or a drive
-            of more than an hour.
+        RequestError: a vehicle whose wheel speed is not known or less than is asked for, wheels that cannot be, laps of
+            an open path, or a drive of more than an hour.
     """
 
     path: Path
@@ -62,10 +63,13 @@ class Task:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.vehicle.max_wheel_speed is None:
+        limit = self.vehicle.max_wheel_speed
+        if limit is None:
             raise RequestError(f"vehicle {self.vehicle.name} has no max_wheel_speed; give it in a vehicle file")
-        if not 0.0 <= self.lag < math.inf:
-            raise RequestError(f"the lag of the wheels must be at least 0 s, got {self.lag}")
+        if self.speed > limit:
+            raise RequestError(f"{self.speed:g} m/s are asked for, but {self.vehicle.name} reaches {limit:g} m/s")
+        if not 0.0 <= self.lag <= LARGEST_LAG:
+            raise RequestError(f"the lag of the wheels must be from 0 to {LARGEST_LAG:g} s, got {self.lag:g}")
         if not self.acceleration > 0.0:
             raise RequestError(f"the acceleration of the wheels must be above 0 m/s^2, got {self.acceleration}")
         if self.laps > 0.0 and self.laps != 1.0 and not self.path.closed:

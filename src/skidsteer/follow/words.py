@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 
 USUAL = "summit-xl"  # robot of Huskić 2017
 LAP = 110.77 / 5.0  # [m] of the lemniscate of Huskić 2017, V.B
+FAR = 1e6  # [m] no start is farther away
 SHAPES: dict[str, tuple[float, Callable[[float], Path]]] = {  # size [m] unless it is told, and what it is the size of
     "lemniscate": (LAP / lemniscate(1.0).length, lemniscate),  # from end to end
     "stadium": (10.0, lambda size: stadium(size, 0.25 * size)),  # its straights; the radius is a quarter of them
@@ -122,6 +123,8 @@ def parse_start(text: str) -> Triple:
     """
     try:
         x, y, yaw = [float(word) for word in (text if text.count(",") == 2 else f"{text},0").split(",")]
+        if not max(abs(x), abs(y), abs(yaw)) < FAR:
+            raise ValueError
     except ValueError:
         raise RequestError(f"start '{text}': write X,Y or X,Y,YAW in m and rad, such as 0,0.5,0.3") from None
     return x, y, yaw
