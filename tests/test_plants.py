@@ -16,7 +16,7 @@ from skidsteer.simulate import Sensors, controller, refuse_fast
 from skidsteer.terramechanics.dynamics import move
 from skidsteer.terramechanics.robot import robot
 from skidsteer.terramechanics.steady_turn import steady_turn
-from skidsteer.terramechanics.terrain import TERRAINS, Ground, parse_ground
+from skidsteer.terramechanics.terrain import TERRAINS, Area, Ground, parse_ground
 from skidsteer.vehicle import Vehicle, preset
 
 P3AT = preset("pioneer-p3at")
@@ -142,9 +142,34 @@ def test_grounds_in_words() -> None:
     assert [area.terrain.name for area in ground.areas] == ["ice", "lab"]
     assert [area.t[0] for area in ground.areas] == [12.5, 20.0]
     assert parse_ground("ice") == Ground(TERRAINS["ice"])
+    assert ground.words() == "grass,ice@12.5,lab@20"
 
 
-@pytest.mark.parametrize("text", ["grass,ice", "grass,ice@x", "grass,ice@5,lab@5", "grass,ice@nan", "lab,ice@inf"])
+def test_grounds_at_places_in_words() -> None:
+    ground = parse_ground("grass,ice@6/-1/2.5/1,lab@20")
+    assert ground.areas == (Area(TERRAINS["ice"], (2.5, 6.0), (-1.0, 1.0)), Area(TERRAINS["lab"], t=(20.0, np.inf)))
+    assert parse_ground(ground.words()) == ground
+
+
+def test_a_robot_slips_where_the_ice_lies() -> None:
+    """On ice at a place ahead the rims slide at once; behind the robot the same ice changes nothing."""
+    rims = Series(np.array([0.0, 4.0, 5.0]), np.array([[0.1, 0.6], [0.1, 0.6], [0.0, 0.0]]))
+    turned = {
+        where: plant("terramechanic")("d", P3AT, parse_ground(f"grass{where}"), rims, usual_sensors(P3AT), 0).gyro
+        for where in ("", ",ice@-9/-9/-8/-8", ",ice@-9/-9/9/9")
+    }
+    rates = [gyro.values[(gyro.t > 2.0) & (gyro.t < 4.0)].mean() for gyro in turned.values() if gyro is not None]
+    assert rates[0] == rates[1]
+    assert abs(rates[2] - rates[0]) > 0.01
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("grass,ice", "grass,ice@x", "grass,ice@5,lab@5", "grass,ice@nan", "lab,ice@inf"),
+        *("lab,ice@1/2", "lab,ice@1/2/3/x", "lab,ice@1/2/1/5", "lab,ice@1/2/nan/5", "lab,ice@1/2/3/4/5"),
+    ],
+)
 def test_grounds_whose_times_make_no_sense(text: str) -> None:
     with pytest.raises(RequestError, match=r"write NAME, then NAME@SECONDS for each later one"):
         parse_ground(text)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from skidsteer.cli.words import DRIVE_HELP, FILTERS, TERRAINS, Json, Profile, Seed, app, folder
+from skidsteer.cli.words import DRIVE_HELP, FILTERS, GROUNDS, TERRAINS, Json, Profile, Seed, app, folder
 from skidsteer.sources import VEHICLES, Source, on_drives
 
 
@@ -151,7 +151,7 @@ def simulate(
     ] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "terramechanic",
     terrain: Annotated[
-        str, typer.Option(metavar="NAME[,NAME@S...]", help=f"{TERRAINS}; and others from a time [s] on")
+        str, typer.Option(metavar=GROUNDS, help=f"{TERRAINS}; and others from a time [s] on, or at a place [m]")
     ] = "lab",
     seed: Annotated[int, Seed] = 0,
 ) -> None:

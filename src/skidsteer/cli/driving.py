@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from skidsteer.cli.words import TERRAINS, Json, Profile, Seed, app, folder
+from skidsteer.cli.words import GROUNDS, TERRAINS, Json, Profile, Seed, app, folder
 from skidsteer.sources import VEHICLES
 
 
@@ -30,7 +30,7 @@ def follow(
     ] = None,
     plant: Annotated[str, typer.Option(metavar="NAME", help="kinematic, terramechanic or mujoco")] = "kinematic",
     terrain: Annotated[
-        str, typer.Option(metavar="NAME[,NAME@S...]", help=f"{TERRAINS}; and others from a time [s] on")
+        str, typer.Option(metavar=GROUNDS, help=f"{TERRAINS}; and others from a time [s] on, or at a place [m]")
     ] = "grass",
     vehicle: Annotated[
         str | None,

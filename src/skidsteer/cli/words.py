@@ -11,6 +11,7 @@ import typer
 MODELS = "differential, multiplier, icr_symmetric, curvature, icr, linear, scheduled_icr"
 FILTERS = "icr, frozen, basic, arc, arc_odometry, alternative, slip_ratios, transfer_difference, extended"
 TERRAINS = "lab, tiles, asphalt, concrete, grass, gravel, wet-sand, ice"
+GROUNDS = "NAME[,NAME@S][,NAME@X0/Y0/X1/Y1]..."
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -83,24 +83,43 @@ def terrain(name: str) -> Terrain:
 
 
 def parse_ground(text: str) -> Ground:
-    """A ground from the words of a command line, such as ``grass`` or ``grass,ice@12,grass@20``.
+    """A ground from the words of a command line, such as ``grass``, ``grass,ice@12`` or ``grass,ice@2/-1/6/1``.
 
     Args:
-        text: the first terrain, then each with the time [s] from which it lies everywhere.
+        text: the first terrain, then each with the time [s] from which it lies everywhere, or with the place at which
+            it always lies: two corners X0/Y0/X1/Y1 [m] of a rectangle in the frame of the drive. Where several lie at
+            once, the last one counts.
 
     Raises:
-        RequestError: no such terrain, or a time that is no number or not later than the one before.
+        RequestError: no such terrain, a time that is no number or not later than the one before, or a place that has
+            no area.
     """
     first, *later = [word.strip() for word in text.split(",")]
-    named = [word.partition("@")[::2] for word in later]
     try:
-        times = [float(time) for _, time in named]
+        areas = tuple(_area(*word.partition("@")[::2]) for word in later)
+        times = [area.t[0] for area in areas if area.t != ALWAYS]
+        if not all(a < b for a, b in pairwise(times)):
+            raise ValueError
     except ValueError:
-        times = [math.nan]
-    if not all(a < b for a, b in pairwise([-math.inf, *times, math.inf])):
-        raise RequestError(f"terrain '{text}': write NAME, then NAME@SECONDS for each later one, such as grass,ice@12")
-    areas = [Area(terrain(name), t=(time, math.inf)) for (name, _), time in zip(named, times, strict=True)]
-    return Ground(terrain(first), tuple(areas))
+        raise RequestError(
+            f"terrain '{text}': write NAME, then NAME@SECONDS for each later one, such as grass,ice@12, or"
+            " NAME@X0/Y0/X1/Y1 for one at a place [m], such as grass,ice@2/-1/6/1"
+        ) from None
+    return Ground(terrain(first), areas)
+
+
+def _area(name: str, where: str) -> Area:
+    """The area of a terrain from a time on, or at a place; a ``ValueError`` where the words are neither."""
+    numbers = [float(word) for word in where.split("/")]
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError
+    if len(numbers) == 1:
+        return Area(terrain(name), t=(numbers[0], math.inf))
+    x0, y0, x1, y1 = numbers
+    x, y = (min(x0, x1), max(x0, x1)), (min(y0, y1), max(y0, y1))
+    if not (x[0] < x[1] and y[0] < y[1]):
+        raise ValueError
+    return Area(terrain(name), x, y)
 
 
 Range = tuple[float, float]
@@ -122,6 +141,13 @@ class Area:
             if not low < high:
                 raise RequestError(f"area of {self.terrain.name}: {name} must begin before it ends, got {low}, {high}")
 
+    def words(self) -> str:
+        """The area as text."""
+        corners = [self.x[0], self.y[0], self.x[1], self.y[1]]
+        if (self.x, self.y) != (ALWAYS, ALWAYS):
+            return f"{self.terrain.name}@{'/'.join(f'{corner:g}' for corner in corners)}"
+        return f"{self.terrain.name}@{self.t[0]:g}" if self.t[0] > -math.inf else self.terrain.name
+
 
 @dataclass(frozen=True, slots=True)
 class Ground:
@@ -131,9 +157,8 @@ class Ground:
     areas: Sequence[Area] = ()
 
     def words(self) -> str:
-        """The ground as text; terrains that follow one another in time as ``parse_ground`` reads them."""
-        later = (f"{a.terrain.name}@{a.t[0]:g}" if a.t[0] > -math.inf else a.terrain.name for a in self.areas)
-        return ",".join([self.everywhere.name, *later])
+        """The ground as text, as ``parse_ground`` reads it; of an area of both a place and a time its place only."""
+        return ",".join([self.everywhere.name, *(area.words() for area in self.areas)])
 
     def bounds(self) -> FloatArray:
         """From and to in t, x and y (k, 6) of every area, the first of which is everywhere."""
