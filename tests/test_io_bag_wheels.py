@@ -269,3 +269,71 @@ def test_plain_numbers_need_a_unit(tmp_path: Path) -> None:
     assert_allclose(drive.wheels.values, [[0.15, 0.3]] * len(drive.wheels))
     with pytest.raises(RequestError, match="need a left and a right topic"):
         read_bag(path, VEHICLE, BagOptions(wheels_topic="/lwheel"))
+
+
+# --- one driver a motor: no message has all wheels
+
+
+def by_motor(topics: dict[str, str], signal: str) -> list[Message]:
+    """Four motors of their own messages, 5 ms apart, at 50 Hz; left 2 rad/s, right 1 rad/s faster from 1 s on.
+
+    ``topics`` tells the topic of each side.
+    """
+    messages = []
+    for index, name in enumerate(("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")):
+        right = "right" in name
+        for step in range(100):
+            t = 0.02 * step + 0.005 * index
+            rate = 2.0 + right * (t >= 1.0)
+            angle = 2.0 * t + right * max(0.0, t - 1.0) + 7.0 * index
+            numbers = {"position": [angle]} if signal == "position" else {"velocity": [rate]}
+            ns = NS + round(t * 1e9)
+            value = {"header": (ns, ""), "name": [name], **numbers}
+            messages.append(
+                Message(topics["right" if right else "left"], "sensor_msgs/msg/JointState", ns + 10**6, value)
+            )
+    return messages
+
+
+@pytest.mark.parametrize("signal", ["position", "velocity"])
+@pytest.mark.parametrize("kind", ["mcap", "rosbag1"])
+def test_motors_that_tell_of_themselves_alone(tmp_path: Path, signal: str, kind: str) -> None:
+    """Each wheel is held from its own stamp to its next one: rolled distances are whole, speeds those of the sides."""
+    path = write_messages(tmp_path / "b", kind, by_motor({"left": "/motors", "right": "/motors"}, signal))
+    drive, contents = read_bag_noted(path, VEHICLE)
+    assert contents.chosen["wheels"] == "/motors"
+    assert sum("left wheels front_left_wheel, rear_left_wheel" in note for note in contents.notes) == 1
+    t, speeds = drive.wheels.t, drive.wheels.values / VEHICLE.wheel_radius
+    assert_allclose(t[0], 0.015, atol=1e-9)  # where the last of the four has begun
+    assert_allclose(np.diff(t), 0.005, atol=1e-9)
+    assert_allclose(speeds[:, 0], 2.0)
+    before, after = t < 0.98, t > 1.02
+    assert_allclose(speeds[before, 1], 2.0)
+    assert_allclose(speeds[after, 1], 3.0)
+    rolled = (drive.wheels.values[:-1] * np.diff(t)[:, None]).sum(axis=0) / VEHICLE.wheel_radius
+    assert_allclose(rolled, [2.0 * (t[-1] - t[0]), 2.0 * (t[-1] - t[0]) + t[-1] - 1.0], atol=0.02)
+
+
+def test_joint_states_of_two_topics_are_joined_where_asked_for(tmp_path: Path) -> None:
+    path = write_messages(tmp_path / "b", "mcap", by_motor({"left": "/port", "right": "/starboard"}, "velocity"))
+    with pytest.raises(RequestError, match="no topic serves as wheel speeds"):
+        read_bag(path, VEHICLE)
+    drive = read_bag(path, VEHICLE, BagOptions(wheels_topic="/port,/starboard"))
+    assert_allclose(drive.wheels.values[-1] / VEHICLE.wheel_radius, [2.0, 3.0])
+
+
+def test_arms_that_tell_of_themselves_alone_are_no_wheels(tmp_path: Path) -> None:
+    """Of two messages, names must say that they roll."""
+    messages = [
+        Message(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            NS + i,
+            {"name": [f"{side}_s0"], "velocity": [1.0], "header": (NS + i, "")},
+        )
+        for i, side in enumerate(("left", "right") * 10)
+    ]
+    with pytest.raises(RequestError, match="no topic serves as wheel speeds; name the wheels of /joint_states"):
+        read_bag(write_messages(tmp_path / "b", "mcap", messages), VEHICLE)
+    drive = read_bag(tmp_path / "b", VEHICLE, BagOptions(left_joints=("left_s0",), right_joints=("right_s0",)))
+    assert_allclose(drive.wheels.values, VEHICLE.wheel_radius)

@@ -23,7 +23,7 @@ from skidsteer.io.reference import Frames, antenna_place, read_gyro, read_refere
 from skidsteer.io.scans import plate_poses
 from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
 from skidsteer.io.topics import ROLES, Choice, Looks, candidates, choose, offer
-from skidsteer.io.wheels import joint_wheels, pair_wheels, sides_in, twist_wheels
+from skidsteer.io.wheels import joint_wheels, joints_in, pair_wheels, sides_in, twist_wheels
 from skidsteer.vehicle import Vehicle
 
 __all__ = ["AUTOMATIC", "BagContents", "BagOptions", "TopicEntry", "is_bag", "list_bag", "read_bag", "read_bag_noted"]
@@ -146,7 +146,7 @@ def _peek(source: Source, topic: BagTopic, limit: int) -> list[Samples]:
 
 def _has_sides(tables: Sequence[Samples], options: BagOptions) -> bool:
     sides = sides_in(tables, options)
-    return sides is not None and any({*sides.left, *sides.right} <= set(table.label) for table in tables)
+    return sides is not None and {*sides.left, *sides.right} <= set(joints_in(tables))
 
 
 def _refuse_without_wheels(path: str | os.PathLike[str], source: Source, choice: Choice) -> None:
@@ -261,11 +261,11 @@ def _wheels(
     notes: list[str],
 ) -> tuple[Timed, Clock]:
     found = [_usable(tables, topic, notes) for topic in topics]
+    name = shown(",".join(topic.name for topic in topics))
+    if topics[0].type == JOINT_STATE:
+        return joint_wheels(name, [table for tables in found for table in tables], vehicle, options, notes)
     if len(topics) == 2:
         return pair_wheels(topics, [concatenated(samples) for samples in found], vehicle, options, notes)
-    name = shown(topics[0].name)
-    if topics[0].type == JOINT_STATE:
-        return joint_wheels(name, found[0], vehicle, options, notes)
     return twist_wheels(name, concatenated(found[0]), vehicle, options, notes)
 
 

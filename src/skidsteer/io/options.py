@@ -18,8 +18,8 @@ WHEEL_UNITS = ("rad", "rad/s", "m/s", "ticks")
 class BagOptions:
     """Choices where the automatic ones do not fit. None leaves the choice to what the bag offers.
 
-    ``wheels_topic`` may also be two topics of counters or floats, left and right, joined by a comma; ``wheels_unit``
-    says what they count. ``reference_topic`` may be ``/tf`` (or another topic of transforms).
+    ``wheels_topic`` may also be two topics of counters, floats or joint states, left and right, joined by a comma;
+    ``wheels_unit`` says what the first two count. ``reference_topic`` may be ``/tf`` (or another topic of transforms).
     """
 
     wheels_topic: str | None = None

@@ -135,9 +135,14 @@ def _score_reference(topic: BagTopic, looks: Looks) -> int | None:
     if topic.type == ODOMETRY:
         if name & _TRUTH:
             return 32
-        # What the wheels were fused into or came from is no reference for the wheels.
-        return -1 if name & (_FUSED | _WHEEL_ODOMETRY) else 10
+        return -1 if _is_of_wheels(topic) else 10
     return 35 if name & _TRUTH else 30
+
+
+def _is_of_wheels(topic: BagTopic) -> bool:
+    """Whether an odometry is by its name what came of the wheels, or was fused of them: no reference for the wheels."""
+    name = set(words(topic.name))
+    return topic.type == ODOMETRY and bool(name & (_FUSED | _WHEEL_ODOMETRY)) and not name & _TRUTH
 
 
 def _score_imu(topic: BagTopic, looks: Looks) -> int | None:
@@ -181,13 +186,18 @@ class Choice:
     others: Mapping[str, tuple[Candidate, ...]]
 
     def notes(self) -> list[str]:
-        """One line for each role in which there was a choice."""
+        """One line for each role in which there was a choice, and on a reference that is none."""
         lines = []
         for role, candidate in self.chosen.items():
             rest = [other.name for other in self.others[role] if other.score >= 0]
             if rest:
                 option = f"; {_OPTION[role]} decides" if _OPTION[role] else ""
                 lines.append(f"{role}: {shown(candidate.name)} chosen over {shown(', '.join(rest))}{option}")
+            if role == "reference" and _is_of_wheels(candidate.topics[0]):
+                lines.append(
+                    f"reference: {shown(candidate.name)} came from the wheels, by its name; held against that, a"
+                    " calibration finds the robot's own settings again"
+                )
         return lines
 
 
@@ -238,7 +248,8 @@ def _asked_for(role: str, wanted: str, topics: Sequence[BagTopic]) -> Candidate:
             raise RequestError(f"topic {shown(name)} {what}: cannot serve as {role}; {offer(topics)}")
         found.append(max(fit, key=lambda topic: topic.count))
     numbers = role == "wheels" and all(topic.type in (*COUNTERS, *FLOATS) for topic in found)
-    if len(found) != (2 if numbers else 1):
+    by_side = role == "wheels" and len(found) == 2 and all(topic.type == JOINT_STATE for topic in found)
+    if len(found) != (2 if numbers else 1) and not by_side:
         need = "a left and a right topic, joined by a comma" if numbers else "one topic"
         raise RequestError(f"{shown(wanted)} for the {role}: need {need}")
     return Candidate(tuple(found), 100)

@@ -61,11 +61,21 @@ def match_sides(names: Sequence[str]) -> Sides | None:
 
 
 def sides_in(tables: Sequence[Samples], options: BagOptions) -> Sides | None:
-    """The wheels of a JointState topic: those the user names, or the table that has the most on both sides."""
+    """The wheels of JointState messages: those the user names, or the table that has the most on both sides.
+
+    Where no message has both, as with one driver a motor, the joints of all are taken whose names say that they roll.
+    """
     if options.left_joints:
         return Sides(options.left_joints, options.right_joints)
     found = [sides for table in tables if (sides := match_sides(table.label))]
-    return max(found, key=lambda sides: len(sides.left) + len(sides.right), default=None)
+    if not found:
+        return match_sides([joint for joint in joints_in(tables) if any(part in joint.lower() for part in _ROLLING)])
+    return max(found, key=lambda sides: len(sides.left) + len(sides.right))
+
+
+def joints_in(tables: Sequence[Samples]) -> list[str]:
+    """Names of all joints, in alphabetical order."""
+    return sorted({joint for table in tables for joint in table.label})
 
 
 def joint_wheels(
@@ -74,24 +84,37 @@ def joint_wheels(
     """Rim speeds (n, 2) [m/s] from JointState, and the clock they are stamped with.
 
     Several wheels of a side are averaged. Positions are preferred, since the distance between two of them is exact;
-    velocities are used where positions are missing, do not move, disagree, or are held between updates.
+    velocities are used where positions are missing, do not move, disagree, or are held between updates. Where no
+    message has all of the wheels, each wheel is read by itself and held until its next message.
 
     Raises:
         RequestError: the sides cannot be told from the names, or the joints the user names are not there.
         DataError: neither positions nor velocities are usable.
     """
-    sides = sides_in(tables, options)
-    every = sorted({joint for table in tables for joint in table.label})
+    sides, every = sides_in(tables, options), joints_in(tables)
     joints = (*sides.left, *sides.right) if sides else ()
-    used = [table for table in tables if joints and set(joints) <= set(table.label)]
-    if sides is None or not used:
+    if sides is None or not set(joints) <= set(every):
         missing = f"has no message with {shown(', '.join(joints))}" if joints else "does not tell left from right"
         raise RequestError(f"{name}: {missing}; its joints are {shown(', '.join(every))}; name them by side")
-    angles, rates = (concatenated([_columns(table, joints, part) for table in used]) for part in (0, 1))
     notes.append(f"{name}: left wheels {shown(', '.join(sides.left))}; right wheels {shown(', '.join(sides.right))}")
-    clock = clock_of(angles)
-    signal = _JointSignal(name, vehicle, clock, len(sides.left))
-    return signal.speeds(angles, rates, options.wheel_signal, notes), clock
+    widths = (len(sides.left), len(sides.right))
+    together = any(set(joints) <= set(table.label) for table in tables)
+    parts = [joints] if together else [(joint,) for joint in joints]
+    angles = [_of_joints(tables, part, 0) for part in parts]
+    rates = [_of_joints(tables, part, 1) for part in parts]
+    signal = _JointSignal(name, vehicle, clock_of(angles[0]), widths if together else (1,))
+    heard: list[str] = []
+    found = [signal.speeds(*both, options.wheel_signal, heard) for both in zip(angles, rates, strict=True)]
+    notes.extend(dict.fromkeys(heard))
+    if together:
+        return found[0], signal.clock
+    wheels = _held_together(found)
+    return wheels.with_values(_means(wheels.values, widths)), signal.clock
+
+
+def _of_joints(tables: Sequence[Samples], joints: Sequence[str], part: int) -> Samples:
+    """Positions (part 0) or velocities (part 1) of these joints, from all messages that have all of them."""
+    return concatenated([_columns(table, joints, part) for table in tables if set(joints) <= set(table.label)])
 
 
 def _columns(table: Samples, joints: Sequence[str], part: int) -> Samples:
@@ -103,12 +126,12 @@ def _columns(table: Samples, joints: Sequence[str], part: int) -> Samples:
 
 @dataclass(frozen=True, slots=True)
 class _JointSignal:
-    """Chooses between the positions and the velocities of the same joints. The first ``left`` columns are left."""
+    """Chooses between the positions and the velocities of the same joints, of which so many are of each side."""
 
     name: str
     vehicle: Vehicle
     clock: Clock
-    left: int
+    widths: tuple[int, ...]
 
     def speeds(self, angles: Samples, rates: Samples, wanted: str | None, notes: list[str]) -> Timed:
         has_angles, has_rates = (bool(np.isfinite(part.values).all(axis=1).any()) for part in (angles, rates))
@@ -127,17 +150,27 @@ class _JointSignal:
 
     def _from_rates(self, rates: Samples, notes: list[str]) -> Timed:
         timed = self.clock.timed(rates, self.name, notes)
-        return timed.with_values(self._by_side(timed.values * self.vehicle.wheel_radius))
+        return timed.with_values(_means(timed.values * self.vehicle.wheel_radius, self.widths))
 
     def _from_angles(self, angles: Samples, notes: list[str]) -> Timed:
         timed = self.clock.timed(angles, self.name, notes)
         rolled = roll(timed.ns, timed.values, top_speed(self.vehicle) / self.vehicle.wheel_radius)
         note_jumps(self.name, rolled, notes)
         notes.append(f"{self.name}: wheel speeds are differences of the recorded positions")
-        return _held_speeds(timed.ns, self._by_side(rolled.steps * self.vehicle.wheel_radius))
+        return _held_speeds(timed.ns, _means(rolled.steps * self.vehicle.wheel_radius, self.widths))
 
-    def _by_side(self, wheels: FloatArray) -> FloatArray:
-        return np.stack([wheels[:, : self.left].mean(axis=1), wheels[:, self.left :].mean(axis=1)], axis=1)
+
+def _means(wheels: FloatArray, widths: tuple[int, ...]) -> FloatArray:
+    """Means (n, k) of neighbouring columns, so many of each side."""
+    return np.stack([side.mean(axis=1) for side in np.split(wheels, np.cumsum(widths)[:-1], axis=1)], axis=1)
+
+
+def _held_together(parts: Sequence[Timed]) -> Timed:
+    """Columns (n, 1) of different times side by side, each held until its next one, from where all have begun."""
+    ns = np.unique(np.concatenate([part.ns for part in parts]))
+    ns = ns[ns >= max(part.ns[0] for part in parts)]
+    columns = [part.values[np.searchsorted(part.ns, ns, side="right") - 1, 0] for part in parts]
+    return Timed(ns, np.stack(columns, axis=1))
 
 
 def _held_speeds(ns: np.typing.NDArray[np.int64], distances: FloatArray) -> Timed:
@@ -204,14 +237,11 @@ def pair_wheels(
         RequestError: the unit is not known, or counts a turn are needed and not known.
     """
     clock = Clock()  # these messages carry no stamp
-    left, right = (
+    sides = [
         _counter_speeds(topic, clock.timed(table, shown(topic.name), notes), vehicle, options, notes)
         for topic, table in zip(topics, tables, strict=True)
-    )
-    ns = np.union1d(left.ns, right.ns)
-    ns = ns[(ns >= max(left.ns[0], right.ns[0]))]
-    columns = [side.values[np.searchsorted(side.ns, ns, side="right") - 1, 0] for side in (left, right)]
-    return Timed(ns, np.stack(columns, axis=1)), clock
+    ]
+    return _held_together(sides), clock
 
 
 def _counter_speeds(topic: BagTopic, timed: Timed, vehicle: Vehicle, options: BagOptions, notes: list[str]) -> Timed:
