@@ -103,8 +103,12 @@ def odometry(
         check_file(file)
     options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
     known = load_calibration(calibration).profile(profile)
-    loaded = source.load_one(drive, known)
-    result = run(known, loaded, options) if phases is None else run_phases(known, loaded, phases, options)
+    with console.progress_bar() as report:
+        loaded = source.load_one(drive, known)
+        if phases is None:
+            result = run(known, loaded, options, report)
+        else:
+            result = run_phases(known, loaded, phases, options, report)
     write_tum(out, result.track.t, result.track.poses)
     if covariance is not None:
         write_covariances(covariance, result.track.t, result.track.covariances)

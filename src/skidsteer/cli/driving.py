@@ -65,7 +65,7 @@ def follow(
     json: Json = False,
 ) -> None:
     """Let a controller drive a simulated robot along a path. And show how well."""
-    from skidsteer import documents
+    from skidsteer import console, documents
     from skidsteer.errors import RequestError
     from skidsteer.follow import words
     from skidsteer.follow.animation import page
@@ -110,7 +110,8 @@ def follow(
         acceleration,
         seed,
     )
-    run = run_task(task)
+    with console.progress_bar() as report:
+        run = run_task(task, report)
     told, document = words.sentences(task, run, summarize(run)), documents.to_json(documents.follow_document(task, run))
     files = {
         "follow.json": document + "\n",

@@ -133,7 +133,8 @@ def terrains(
     from skidsteer.identify.calibrate import make_options
     from skidsteer.identify.terrain import compare_terrains
 
-    found = compare_terrains(source.grounds(drives), model, make_options(model, window=window))
+    with console.progress_bar() as report:
+        found = compare_terrains(source.grounds(drives), model, make_options(model, window=window), report)
     if json:
         typer.echo(documents.to_json(documents.terrains_document(found)))
     else:

@@ -25,6 +25,7 @@ def report(
     profile: Profile = None,
 ) -> None:
     """One page on a calibration, and how it does on drives. Its own, held out, or others."""
+    from skidsteer import console
     from skidsteer.identify.circle_calibration import METHOD
     from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
@@ -33,11 +34,12 @@ def report(
     check_file(out)
     known = load_calibration(calibration).profile(profile)
     words, length = drives or [], positive(window, "--window")
-    circles = source.circles(words, known.model.NAME, METHOD) if words and known.method == METHOD else None
-    if circles is not None:
-        evidence = gather(known, (), circles.surfaces, length)
-    else:
-        loaded = source.load(words, known) if words else []
-        evidence = gather(known, loaded, window=length, fit_delay=fit_delay)
+    with console.progress_bar() as tell:
+        circles = source.circles(words, known.model.NAME, METHOD) if words and known.method == METHOD else None
+        if circles is not None:
+            evidence = gather(known, (), circles.surfaces, length)
+        else:
+            loaded = source.load(words, known) if words else []
+            evidence = gather(known, loaded, window=length, fit_delay=fit_delay, progress=tell)
     write_report(evidence, out)
     typer.echo(f"written: {out}")

@@ -16,6 +16,7 @@ from skidsteer.follow.refusals import refuse_path, refuse_start
 from skidsteer.follow.run import Run
 from skidsteer.follow.sensing import IDEAL, Localization, Sensing, Triple, twist_meter
 from skidsteer.paths import Path
+from skidsteer.progress import Progress, silent
 from skidsteer.rolling import OverturnedError, Rolling
 from skidsteer.se2 import FloatArray
 
@@ -70,6 +71,7 @@ def follow(
     ends: Ends = ONCE,
     acceleration: float = math.inf,
     seed: int = 0,
+    progress: Progress = silent,
 ) -> Run:
     """Let a controller drive a robot along a path.
 
@@ -82,6 +84,7 @@ def follow(
         ends: when to end.
         acceleration: [m/s^2] by which no rim speed sent changes faster.
         seed: of the noise.
+        progress: called once a second of the drive, with the percentage of the way.
 
     Returns:
         Every sample, and how it ended: arrived, laps done, lost the path, tipped over, stands still, time is up, or
@@ -98,6 +101,8 @@ def follow(
     judge, rows, dt, end = Judge(path, ends), list[Row](), 1.0 / sensing.rate, None
     while end is None:
         t, state = len(rows) * dt, rolling.state
+        if len(rows) % max(round(sensing.rate), 1) == 0:
+            progress(f"driving, {t:.0f} s", int(100.0 * judge.share), 100)
         x, y, yaw, *moving = state.tolist()
         placed = localization.place((x, y, yaw), t, judge.share)
         seen, twist = localization.see(placed, t), meter(moving)

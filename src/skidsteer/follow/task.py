@@ -18,6 +18,7 @@ from skidsteer.follow.sensing import IDEAL, Sensing, Triple
 from skidsteer.models import Model
 from skidsteer.paths import Path
 from skidsteer.plants import begin, plant, point_contacts, usual_sensors
+from skidsteer.progress import Progress, silent
 from skidsteer.simulate import recorded
 from skidsteer.terramechanics.terrain import Ground
 from skidsteer.vehicle import Vehicle
@@ -96,8 +97,8 @@ class Task:
         return Ends(self.laps, self.way / (SLOWEST * self.speed) + SPARE, self.off)
 
 
-def run_task(task: Task) -> Run:
-    """Drive a task.
+def run_task(task: Task, progress: Progress = silent) -> Run:
+    """Drive a task; progress is told once a second of it.
 
     Raises:
         RequestError: as ``follow`` does, or no such plant, law or gains.
@@ -107,7 +108,7 @@ def run_task(task: Task) -> Run:
     start = task.path.robot(0.0) if task.start is None else np.array(task.start)
     rolling = begin(task.plant, task.vehicle, task.ground, start, task.lag)
     wheels = law.wheels if isinstance(law, Predictive) else task.wheels  # its plans are of rims by a constant ICR
-    return follow(rolling, law, wheels, task.path, task.sensing, task.ends, task.acceleration, task.seed)
+    return follow(rolling, law, wheels, task.path, task.sensing, task.ends, task.acceleration, task.seed, progress)
 
 
 def believed(name: str, vehicle: Vehicle, ground: Ground) -> Belief:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
@@ -26,13 +26,13 @@ from skidsteer.identify.spacing import choose_spacing
 from skidsteer.identify.unknowns import UNITS
 from skidsteer.models import MODELS
 from skidsteer.prediction import fit_regions
+from skidsteer.progress import Progress as Progress
 from skidsteer.windows import MAX_GAP, Mount, increment_windows, pieces
 
 Method = Literal["least-squares", "genetic"]
 BASELINES = ("differential", "multiplier", "icr")
 YAW_ONLY = ("differential", "multiplier")  # all that a gyro alone can tell apart
 LEAST_MOVE = 0.5  # [m] rolled in all, below which there is nothing to calibrate
-Progress = Callable[[str, int, int], None]  # what is being done, steps done, steps in all
 
 
 @dataclass(frozen=True, slots=True)

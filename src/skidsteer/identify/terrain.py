@@ -17,13 +17,14 @@ from scipy.stats import f as fisher
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
-from skidsteer.identify.calibrate import CalibrateOptions, Progress, calibrate, refuse_unusable, settled
+from skidsteer.identify.calibrate import CalibrateOptions, calibrate, refuse_unusable, settled
 from skidsteer.identify.holdout import HeldOutErrors, held_out
 from skidsteer.identify.judged import DETERMINED
 from skidsteer.identify.least_squares import Fit, FitOptions, fit, fit_supported
 from skidsteer.identify.select import Comparison, compare_errors
 from skidsteer.metrics import WindowErrors, window_errors
 from skidsteer.models import MODELS, Multiplier
+from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import increment_windows
 
@@ -135,7 +136,10 @@ def _determined(covariances: FloatArray) -> FloatArray:
 
 
 def compare_terrains(
-    grounds: Mapping[str, Sequence[Drive]], model: str = "icr", options: CalibrateOptions | None = None
+    grounds: Mapping[str, Sequence[Drive]],
+    model: str = "icr",
+    options: CalibrateOptions | None = None,
+    progress: Progress = silent,
 ) -> Terrains:
     """Test whether grounds have the same model.
 
@@ -143,6 +147,7 @@ def compare_terrains(
         grounds: drives of the same robot, by the name of their ground.
         model: that is compared; of a model with optional terms those that any ground supports.
         options: of the fits and of the judging windows.
+        progress: called as work goes on.
 
     Raises:
         DataError: a drive that cannot be calibrated from.
@@ -151,7 +156,11 @@ def compare_terrains(
     if len(grounds) < 2:
         raise RequestError(f"need drives of two grounds or more, got {', '.join(grounds) or 'none'}")
     options = replace(options or CalibrateOptions(), model=model)
-    sides = [_Side.of(name, list(drives), options) for name, drives in grounds.items()]
+    sides = []
+    for i, (name, drives) in enumerate(grounds.items()):
+        progress(f"fitting {name}", i, len(grounds) + 1)
+        sides.append(_Side.of(name, list(drives), options))
+    progress("comparing the grounds", len(grounds), len(grounds) + 1)
     sides = _alike(sides, model)
     pairs = tuple(
         Pair(a.name, b.name, wald_test([a.fit, b.fit]), _foreign(a, b), _foreign(b, a))
@@ -242,5 +251,5 @@ def calibrate_profiles(
     options = replace(options, model=whole.model.NAME)
     profiles = {name: calibrate(list(drives), options=options, progress=progress) for name, drives in grounds.items()}
     compared = whole.model.NAME if whole.model.PARAMETERS else Multiplier.NAME
-    verdict = compare_terrains(grounds, compared, options)
+    verdict = compare_terrains(grounds, compared, options, progress or silent)
     return replace(whole, profiles=profiles, warnings=(*whole.warnings, verdict.because))

@@ -18,13 +18,18 @@ from skidsteer.odometry.run import Odometry, OdometryOptions, distance
 from skidsteer.odometry.state_choice import SystemNoise
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
 from skidsteer.odometry.track import Track
+from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray, compose
 
 LEAST_SIGMA = 0.01  # [m] of a position: what repeats from one to the next is not in the calibration's noise
 
 
 def run_phases(
-    calibration: Calibration, drive: Drive, after: float, options: OdometryOptions | None = None
+    calibration: Calibration,
+    drive: Drive,
+    after: float,
+    options: OdometryOptions | None = None,
+    progress: Progress = silent,
 ) -> Odometry:
     """Odometry by Thalmann's extended filter, which learns the robot's slips from positions until they are lost.
 
@@ -37,6 +42,7 @@ def run_phases(
         drive: continuous, with reference positions or poses, whose headings are not used.
         after: [s] from the start, after which the reference is only used to measure the errors.
         options: the defaults.
+        progress: called as work goes on.
 
     Returns:
         The odometry, with distances from then on; its last state holds the slips.
@@ -60,8 +66,11 @@ def run_phases(
     sigma = max(calibration.noise.position, LEAST_SIGMA)
     width = calibration.vehicle.track_width
     plain = replace(thalmann_filter("extended", width, SystemNoise(2.0, 2.0, 0.02)), significance=0.0)
+    progress("finding the noise of the filter", 0, 3)
     filter, tracking = tune(plain, before, Tracking(seen, sigma, lever=(place.x, place.y)))
+    progress("learning the slips", 1, 3)
     found = calibrate_in_field(filter, before, tracking)
+    progress("filtering", 2, 3)
     whole = replay(filter, found.replay.state(filter, 0), wheels, tracking, lost=(since, np.inf))
     nominal = _reckoned(Differential(width), wheels, whole, tracking, since)
     lost = whole.seen_t >= since

@@ -18,6 +18,7 @@ from skidsteer.odometry.icr_filter import IcrFilter
 from skidsteer.odometry.log import Log, log_of
 from skidsteer.odometry.state import Filter
 from skidsteer.odometry.track import Track, replay, smooth
+from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray, compose, invert
 
 
@@ -62,8 +63,13 @@ class Odometry:
     nominal: Distance | None = None  # of dead reckoning by the nominal track width
 
 
-def run(calibration: Calibration, drive: Drive, options: OdometryOptions = OdometryOptions()) -> Odometry:
-    """The odometry of a drive.
+def run(
+    calibration: Calibration,
+    drive: Drive,
+    options: OdometryOptions = OdometryOptions(),
+    progress: Progress = silent,
+) -> Odometry:
+    """The odometry of a drive; progress is told as it goes on.
 
     Raises:
         RequestError: a drive of separate windows; smoothing by a filter that cannot; a delay to be fitted without
@@ -71,12 +77,14 @@ def run(calibration: Calibration, drive: Drive, options: OdometryOptions = Odome
     """
     if options.fit_delay and drive.pose is None:
         raise RequestError(f"{drive.name}: a delay is fitted to reference poses, and it has none")
+    progress("finding the delay" if options.fit_delay else "reading", 0, 1)
     offset = fit_offset(calibration, drive) if options.fit_delay else None
     whole = log_of(calibration, drive, offset, gyro=options.gyro and options.filter in KNOW_BIAS)
     log, since = _taken(whole, options)
     filter = FILTERS[options.filter](calibration, log.gyro is not None)
     start = begin(filter, log, calibration.model, calibration.timing.lag)
-    track = (smooth if options.smooth else replay)(filter, start, log)
+    progress("smoothing" if options.smooth else "filtering", 0, 1)
+    track = smooth(filter, start, log) if options.smooth else replay(filter, start, log, progress)
     if whole.reference is None:
         return Odometry(filter, track, since)
     nominal = _reckoned(calibration, log, track, since)

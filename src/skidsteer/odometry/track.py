@@ -12,7 +12,10 @@ from skidsteer.kernels.icr_replay import Nodes, Told
 from skidsteer.odometry.icr_filter import IcrFilter
 from skidsteer.odometry.log import Log, Step
 from skidsteer.odometry.state import Filter, FilterState, Pose, Position, refuse_foreign
+from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray
+
+TELLING = 500  # steps between two reports of progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +41,7 @@ class Track:
         return self.means[:, :3]
 
 
-def replay(filter: Filter, state: FilterState, log: Log) -> Track:
+def replay(filter: Filter, state: FilterState, log: Log, progress: Progress = silent) -> Track:
     """Run a filter over a log, from a state at its first wheel stamp to its last.
 
     The filter with ICR states runs in one compiled loop, in the same steps as ``predict`` and ``update``.
@@ -48,7 +51,7 @@ def replay(filter: Filter, state: FilterState, log: Log) -> Track:
         DataError: the state is not one at the first wheel stamp.
     """
     _refuse_elsewhere(filter, state, log)
-    return _compiled(filter, state, log)[0] if isinstance(filter, IcrFilter) else stepwise(filter, state, log)
+    return _compiled(filter, state, log)[0] if isinstance(filter, IcrFilter) else stepwise(filter, state, log, progress)
 
 
 def _refuse_elsewhere(filter: Filter, state: FilterState, log: Log) -> None:
@@ -58,23 +61,25 @@ def _refuse_elsewhere(filter: Filter, state: FilterState, log: Log) -> None:
         raise DataError(f"the state is one at {state.time:.6f} s, the wheels begin at {log.wheels.t[0]:.6f} s")
 
 
-def stepwise(filter: Filter, state: FilterState, log: Log) -> Track:
+def stepwise(filter: Filter, state: FilterState, log: Log, progress: Progress = silent) -> Track:
     """``replay`` step by step, for any filter."""
-    means, covariances, told, rates, squares = [], [], [], [0, 0], 0.0
-    for happens in log.events():
+    means, covariances, taken, rates, squares = [], [], [], [0, 0], 0.0
+    for i, happens in enumerate(log.events()):
+        if i % TELLING == 0:
+            progress("filtering", i, len(log.wheels))
         for event in happens:
             if isinstance(event, Step):
                 state = event.taken(filter, state)
                 continue
             state, innovation = filter.update(state, event)
             if isinstance(event, Pose | Position):
-                told.append((event.time, innovation.squared, innovation.accepted, innovation.anchored))
+                taken.append((event.time, innovation.squared, innovation.accepted, innovation.anchored))
             else:
                 rates[0 if innovation.accepted else 1] += 1
                 squares += innovation.squared
         means.append(state.mean)
         covariances.append(state.pose_covariance)
-    seen_t, squared, accepted, anchored = np.array(told, dtype=float).reshape(-1, 4).T
+    seen_t, squared, accepted, anchored = np.array(taken, dtype=float).reshape(-1, 4).T
     return Track(
         filter.names,
         log.wheels.t,
@@ -95,25 +100,25 @@ def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -
     """The track, and the first ``nodes`` states after a step, with their number."""
     k, n = len(log.wheels), len(state.mean)
     mean, P, memory = state.mean.copy(), state.covariance.copy(), state.memory.copy()
-    told, gyro = _told(log), log.gyro if filter.gyro else None
+    measured, gyro = _measurements(log), log.gyro if filter.gyro else None
     gyro_t, rate = (np.zeros(0), np.zeros(0)) if gyro is None else (gyro.t.copy(), gyro.values[:, 0].copy())
-    means, covariances, m = np.empty((k, n)), np.empty((k, 3, 3)), len(told.when)
+    means, covariances, m = np.empty((k, n)), np.empty((k, 3, 3)), len(measured.when)
     squared, flags, rates = np.empty(m), np.empty(m, dtype=np.int64), np.zeros(3)
     room = Nodes(np.empty((nodes, 6)), np.empty((nodes, n)), np.empty((nodes, n, n)), np.empty((nodes, len(memory))))
     wheels = np.ascontiguousarray(log.wheels.values)
     out = (means, covariances, squared, flags, rates, room)
-    given = (log.wheels.t, wheels, gyro_t, rate, log.gyro_walk, told)
+    given = (log.wheels.t, wheels, gyro_t, rate, log.gyro_walk, measured)
     count = icr_replay.replay(mean, P, memory, filter.setup, *given, *out)
     used = flags != icr_filter.UNUSED_FLAG
     flags, end = flags[used], FilterState(filter.fingerprint, float(log.wheels.t[-1]), mean, P, memory)
     accepted, anchored = flags == icr_filter.ACCEPTED_FLAG, flags == icr_filter.ANCHORED_FLAG
     taken, refused, squares = rates.tolist()
     rate_squared = squares / (taken + refused) if taken + refused else np.nan
-    seen = (told.when[used], squared[used], log.dof, accepted, anchored, (int(taken), int(refused)))
+    seen = (measured.when[used], squared[used], log.dof, accepted, anchored, (int(taken), int(refused)))
     return Track(filter.names, log.wheels.t, means, covariances, *seen, end, rate_squared), room, count
 
 
-def _told(log: Log) -> Told:
+def _measurements(log: Log) -> Told:
     """The references as arrays; positions as poses without a yaw."""
     if log.reference is None or log.covariance is None:
         return Told(

@@ -18,6 +18,7 @@ from skidsteer.identify.holdout import Folds
 from skidsteer.kernels import moments as kernels
 from skidsteer.metrics import WindowErrors
 from skidsteer.models import Differential, Model
+from skidsteer.progress import Progress, silent
 from skidsteer.report.drift import Drift, drift_per_10_m, yaw_per_turn
 from skidsteer.report.reckoner import Reckoner, reckoners, uncalibrated
 from skidsteer.report.tracks import Track, thin, track
@@ -77,6 +78,7 @@ def gather(
     window: float | None = None,
     fit_delay: bool = False,
     folds: Folds | None = None,
+    progress: Progress = silent,
 ) -> Evidence:
     """Compute what the report shows.
 
@@ -87,14 +89,21 @@ def gather(
         window: [s] of the judging windows; None: those of the calibration.
         fit_delay: find the time offset of foreign drives first.
         folds: fits to the odd and even blocks of its own drives; None: computed if the drives are its own.
+        progress: called as work goes on.
     """
+    total = len(drives) + 2
+    progress("fitting to parts of the drives", 0, total)
     chosen = calibration.provenance.options
     length = float(window or chosen.get("window") or 2.0)
     cured = [fix(drive, examine(drive))[0] for drive in drives] if chosen.get("fix") else list(drives)
     known = reckoners(calibration, cured, fit_delay, folds)
     models = uncalibrated(calibration.vehicle)
     tracks = [way for reckoner in known if (way := track(reckoner, models)) is not None]
-    judged = [errors for reckoner in known if (errors := _judged(reckoner, length)) is not None]
+    judged = []
+    for i, reckoner in enumerate(known):
+        progress(f"judging {reckoner.drive.name}", i + 1, total)
+        judged += [] if (errors := _judged(reckoner, length)) is None else [errors]
+    progress("looking at the log", total - 1, total)
     turns = _circles(surfaces, calibration.vehicle.track_width) if surfaces else _turns(known, length)
     share = MOST_POSES // max(len(tracks), 1)
     return Evidence(
