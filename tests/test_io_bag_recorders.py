@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from bag_files import VEHICLE, drive_messages, example_drive, write_bag, write_messages
 from skidsteer.drive import Drive
@@ -16,6 +18,7 @@ from skidsteer.errors import DataError
 from skidsteer.io.bag import is_bag, list_bag, read_bag, read_bag_noted
 from skidsteer.io.bag_names import kind_of, name_of
 from skidsteer.io.drives import load_drive
+from skidsteer.io.sqlite_pages import _rows, rows_in_pages
 from test_io_bag_rosbag1 import assert_same, without_index
 
 
@@ -182,3 +185,87 @@ def test_transaction_that_was_not_finished_is_taken_back(tmp_path: Path, drive: 
     assert half.command is not None
     assert drive.command is not None
     assert not np.array_equal(half.command.t, drive.command.t)
+
+
+def torn(whole: Path, path: Path, committed: int) -> Path:
+    """A file as it lies on the disk when rosbag2 is killed: no journal, the last transaction written in part."""
+    source, live = sqlite3.connect(whole), sqlite3.connect(path.with_suffix(".live"), isolation_level=None)
+    try:
+        live.execute("PRAGMA journal_mode = MEMORY")
+        live.execute("PRAGMA cache_size = 1")
+        for (statement,) in source.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall():
+            live.execute(statement)
+        live.execute("CREATE INDEX IF NOT EXISTS timestamp_idx ON messages (timestamp ASC)")
+        live.execute("BEGIN")
+        live.executemany("INSERT INTO topics VALUES (?,?,?,?,?,?)", source.execute("SELECT * FROM topics"))
+        rows = source.execute("SELECT * FROM messages").fetchall()
+        live.executemany("INSERT INTO messages VALUES (?,?,?,?)", rows[:committed])
+        live.execute("COMMIT")
+        live.execute("BEGIN")
+        live.executemany("INSERT INTO messages VALUES (?,?,?,?)", rows[committed:])
+        shutil.copy(path.with_suffix(".live"), path)
+    finally:
+        source.close()
+        live.close()
+    return path
+
+
+def test_torn_database_is_read_page_by_page(tmp_path: Path) -> None:
+    """All but what had not left the recorder's memory; every number that is found is right."""
+    drive = example_drive(20.0)
+    (whole,) = write_bag(drive, tmp_path / "b", "sqlite3").glob("*.db3")
+    for committed in (400, 1200, 2800):
+        path = torn(whole, tmp_path / f"torn{committed}.db3", committed)
+        got, contents = read_bag_noted(path, VEHICLE)
+        (note,) = (note for note in contents.notes if "the recorder died while it wrote" in note)
+        assert int(note.split("; ")[1].split()[0]) > 3000 - committed
+        for part in ("wheels", "pose", "gyro"):
+            found, expected = getattr(got, part), getattr(drive, part)
+            assert len(expected) - 25 < len(found) < len(expected)
+            np.testing.assert_array_equal(found.t, expected.t[: len(found)])
+            np.testing.assert_allclose(found.values, expected.values[: len(found)], atol=4e-15)
+
+
+def test_whole_database_is_not_searched(tmp_path: Path, drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    (whole,) = write_bag(drive, tmp_path / "b", "sqlite3").glob("*.db3")
+    monkeypatch.setattr("skidsteer.io.sqlite_source.rows_in_pages", lambda _: pytest.fail("searched"))
+    assert_same(read_bag(whole, VEHICLE), drive)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    rows=st.lists(
+        st.tuples(
+            st.one_of(st.sampled_from([0, 1, 2, -1, 127, 128, 2**15, 2**23, 2**31, 2**40]), st.integers(0, 2**62)),
+            st.one_of(st.sampled_from([0, 1, -129, 2**47, 2**63 - 1]), st.integers(-(2**63), 2**63 - 1)),
+            st.binary(max_size=300),
+        ),
+        min_size=1,
+        max_size=80,
+    ),
+    size=st.sampled_from([512, 1024, 4096, 65536]),
+    first=st.integers(1, 2**40),
+)
+def test_pages_hold_the_rows_that_sqlite_wrote(
+    rows: list[tuple[int, int, bytes]], size: int, first: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Of any integers and bytes, on pages of any size; not those of other tables, nor what goes on on other pages."""
+    path = tmp_path_factory.mktemp("pages") / "a.db3"
+    numbered = [(first + index, *row) for index, row in enumerate(rows)]
+    connection = sqlite3.connect(path)
+    connection.execute(f"PRAGMA page_size = {size}")
+    connection.execute("CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, data BLOB)")
+    connection.execute("CREATE TABLE others (a INTEGER PRIMARY KEY, b TEXT, c BLOB)")
+    connection.executemany("INSERT INTO messages VALUES (?,?,?,?)", numbered)
+    connection.execute("INSERT INTO messages VALUES (?,?,?,?)", (first + 2**41, 1, 1, bytes(70_000)))
+    connection.execute("INSERT INTO others VALUES (1, 'x', x'00')")
+    connection.commit()
+    connection.close()
+    assert sorted(rows_in_pages(path)) == numbered
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(min_size=512, max_size=512), st.sampled_from([b"\x0d", b""]))
+def test_pages_of_anything_do_no_harm(data: bytes, leaf: bytes) -> None:
+    page = leaf + data[len(leaf) :]
+    assert all(len(row) == 4 and isinstance(row[3], bytes) for row in _rows(page, 512, 0))

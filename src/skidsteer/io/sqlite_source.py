@@ -9,13 +9,15 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from itertools import compress
+from dataclasses import replace
+from itertools import compress, islice
 from pathlib import Path
 
 import numpy as np
 
 from skidsteer.errors import DataError
 from skidsteer.io.raw import BagTopic, Definition, RawMessages, from_list, shown
+from skidsteer.io.sqlite_pages import Row, rows_in_pages
 
 _AT_A_TIME = 512  # rows; more no longer fit the cache and take longer
 _LONGEST = 64 << 20  # bytes of one value; SQLite refuses longer ones
@@ -32,10 +34,12 @@ class SqliteSource:
         self._path = path
         self.notes: list[str] = []
         self._open = ExitStack()
+        self._ids: set[int] | None = None  # of the messages that a torn file still leads to; None for a whole file
         try:
             self._connection = self._connected()
             self._guard()
             self._topics = self._list_topics()
+            self._count_the_rest()
         except sqlite3.Error as error:
             self.close()
             raise DataError(f"{path}: cannot be read as {self.kind}, it is damaged: {shown(error)}") from error
@@ -62,6 +66,7 @@ class SqliteSource:
                 path, words = folder / path.name, "mode=rw"
         connection = sqlite3.connect(f"{path.resolve().as_uri()}?{words}", uri=True)
         self._open.callback(connection.close)
+        self._file = path
         return connection
 
     def close(self) -> None:
@@ -80,11 +85,55 @@ class SqliteSource:
         except sqlite3.Error as error:
             note = f"{self._path.name}: damaged; not all of its messages can be read ({shown(error)})"
             self.notes += [note] if note not in self.notes else []
+        if self._ids is not None:
+            rest = islice((row[1:] for row in self._rest() if row[1] in wanted), limit)
+            while rows := list(islice(rest, _AT_A_TIME)):
+                for key, messages in _by_topic(rows):
+                    yield wanted[key], messages
+
+    def _rest(self) -> Iterator[Row]:
+        """Messages of a torn file that it does not lead to."""
+        return (row for row in rows_in_pages(self._file) if row[0] not in (self._ids or ()))
+
+    def _count_the_rest(self) -> None:
+        """Where the file is torn, find what it no longer leads to, and add that to the counts."""
+        if not self._is_torn():
+            return
+        self._ids = self._ids_by_tree()
+        counts = Counter(row[1] for row in self._rest())
+        self._topics = {key: replace(topic, count=topic.count + counts[key]) for key, topic in self._topics.items()}
+        if found := sum(counts[key] for key in self._topics):
+            self.notes.append(
+                f"{self._path.name}: the recorder died while it wrote; {found} messages were found that the file no"
+                " longer leads to, none of more than 4 kB"
+            )
+
+    def _is_torn(self) -> bool:
+        """Whether the file has pages beyond its end, or an index of more messages than it leads to."""
+        ask = self._connection.execute
+        try:
+            ((pages,), (size,)) = (ask(f"PRAGMA page_{what}").fetchone() for what in ("count", "size"))
+            ((indexed,),) = ask("SELECT count(*) FROM messages INDEXED BY timestamp_idx")
+        except sqlite3.OperationalError:  # written by hand, without that index
+            return False
+        except sqlite3.Error:
+            return True
+        counted = sum(topic.count for topic in self._topics.values())
+        return bool(self._file.stat().st_size > pages * size or indexed > counted)
+
+    def _ids_by_tree(self) -> set[int]:
+        found: set[int] = set()
+        try:
+            for (key,) in self._connection.execute("SELECT id FROM messages NOT INDEXED"):
+                found.add(key)
+        except sqlite3.Error:
+            pass
+        return found
 
     def _batches(self, keys: Sequence[int], limit: int) -> Iterator[list[tuple[int, int, bytes]]]:
         """So many rows of these topics at a time."""
         marks = ",".join("?" * len(keys))
-        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) LIMIT ?"
+        query = f"SELECT topic_id, timestamp, data FROM messages NOT INDEXED WHERE topic_id IN ({marks}) LIMIT ?"
         cursor = self._connection.execute(query, (*keys, limit))
         while batch := cursor.fetchmany(_AT_A_TIME):
             yield batch
