@@ -29,7 +29,7 @@ from skidsteer.noise import Noise
 from skidsteer.report import gather, page
 from skidsteer.report.drift import drift_per_10_m, yaw_per_turn
 from skidsteer.report.error_charts import worst_and_some
-from skidsteer.report.markup import Html, embedded, figure, markup, spread, tag
+from skidsteer.report.markup import Html, embedded, markup, rounded, spread, tag
 from skidsteer.report.model_charts import chi_of_model
 from skidsteer.report.reckoner import Part, Reckoner, fit_options, known_vehicle, uncalibrated
 from skidsteer.report.tracks import Track, step_errors, thin, track
@@ -397,7 +397,7 @@ def test_no_text_is_markup(text: str) -> None:
     ],
 )
 def test_numbers_for_people(value: float, digits: int, unit: str, words: str) -> None:
-    assert figure(value, digits, unit) == words
+    assert rounded(value, digits, unit) == words
 
 
 def test_value_and_sigma_have_the_same_places() -> None:

@@ -30,7 +30,7 @@ def held_out_charts(calibration: Calibration) -> list[Chart]:
         "yaw_gyro_deg": f"turn in {window} s against the gyro [°]",
     }
     wanted = [name for name in titles if any(spread_of(h, name) for h in calibration.held_out.values())]
-    wanted = wanted[:2]  # the gyro where the reference tells no yaw
+    wanted = wanted[:2]  # the gyro where the reference has no yaw
     return [_held_out_chart(calibration, name, titles[name]) for name in wanted]
 
 
@@ -42,14 +42,14 @@ def spread_of(figures: HeldOut, name: str) -> Spread | None:
 
 def _held_out_chart(calibration: Calibration, name: str, title: str) -> Chart:
     names = list(calibration.held_out)[::-1]
-    told = [
+    found = [
         (n, s, (calibration.held_out[n].median_95 or {}).get(name))
         for n in names
         if (s := spread_of(calibration.held_out[n], name))
     ]
-    colours = [_colour(n, calibration.model.NAME) for n, _, _ in told]
-    middle = [s.median for _, s, _ in told]
-    ends = [(ci or (s.median, s.median)) for _, s, ci in told]
+    colours = [_colour(n, calibration.model.NAME) for n, _, _ in found]
+    middle = [s.median for _, s, _ in found]
+    ends = [(ci or (s.median, s.median)) for _, s, ci in found]
     bars = {
         "type": "data",
         "symmetric": False,
@@ -59,13 +59,13 @@ def _held_out_chart(calibration: Calibration, name: str, title: str) -> Chart:
         "width": 0,
         "color": "$muted",
     }
-    rows = [n for n, _, _ in told]
+    rows = [n for n, _, _ in found]
     data = [
         {
             "type": "scatter",
             "mode": "markers",
             "name": "RMS",
-            "x": [s.rms for _, s, _ in told],
+            "x": [s.rms for _, s, _ in found],
             "y": rows,
             "marker": {"symbol": "diamond-open", "size": 9, "color": colours, "line": {"width": 1.6}},
             "hovertemplate": "%{y}: RMS %{x:.3g}<extra></extra>",
@@ -82,12 +82,12 @@ def _held_out_chart(calibration: Calibration, name: str, title: str) -> Chart:
         },
     ]
     layout = {
-        "xaxis": axis(title, type="log", **_ticks([v for _, s, _ in told for v in (s.median, s.rms)])),
+        "xaxis": axis(title, type="log", **_ticks([v for _, s, _ in found for v in (s.median, s.rms)])),
         "yaxis": {"automargin": True, "type": "category", "showgrid": False},
         "showlegend": False,
     }
-    label = "; ".join(f"{n}: median {s.median:.3g}, RMS {s.rms:.3g}" for n, s, _ in told[::-1])
-    return Chart(f"held-{name.replace('_', '-')}", data, layout, f"Error of the {title}. {label}", 90 + 34 * len(told))
+    label = "; ".join(f"{n}: median {s.median:.3g}, RMS {s.rms:.3g}" for n, s, _ in found[::-1])
+    return Chart(f"held-{name.replace('_', '-')}", data, layout, f"Error of the {title}. {label}", 90 + 34 * len(found))
 
 
 def _ticks(values: Sequence[float]) -> Json:
@@ -125,9 +125,9 @@ def residual_charts(evidence: Evidence) -> list[Chart]:
 def _rows(judged: Judged, name: str, factor: float) -> FloatArray:
     """Rows (k, 4) of v, omega, size of the error, start of the window."""
     size = factor * np.abs(getattr(judged.calibrated, name))
-    told = np.isfinite(size)
+    known = np.isfinite(size)
     table = np.stack([judged.v, judged.omega, size, judged.calibrated.start], axis=1)
-    return np.asarray(table[told])
+    return np.asarray(table[known])
 
 
 def _residual_chart(name: str, title: str, rows: FloatArray, drives: list[str]) -> Chart:

@@ -8,7 +8,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.metrics import WindowErrors
 from skidsteer.report import error_charts, model_charts
 from skidsteer.report.evidence import Evidence
-from skidsteer.report.markup import Content, Html, figure, table, tag
+from skidsteer.report.markup import Content, Html, rounded, table, tag
 from skidsteer.report.section import Section, drawn, left_out, section, side_by_side
 
 
@@ -56,8 +56,8 @@ def _foreign(evidence: Evidence) -> Html | str:
 
 
 def _median(errors: np.ndarray, factor: float) -> str:
-    told = np.abs(errors[np.isfinite(errors)]) * factor
-    return figure(float(np.median(told)), 3) if len(told) else "–"
+    sizes = np.abs(errors[np.isfinite(errors)]) * factor
+    return rounded(float(np.median(sizes)), 3) if len(sizes) else "–"
 
 
 def _errors(calibration: Calibration) -> Html:
@@ -79,8 +79,8 @@ def _errors(calibration: Calibration) -> Html:
                 if known is None
                 else [
                     _with_interval(known.median, (held.median_95 or {}).get(name)),
-                    figure(known.rms, 3),
-                    figure(known.p95, 3),
+                    rounded(known.rms, 3),
+                    rounded(known.p95, 3),
                 ]
             )
         rows.append(row)
@@ -89,8 +89,8 @@ def _errors(calibration: Calibration) -> Html:
 
 def _with_interval(median: float, interval: tuple[float, float] | None) -> Content:
     if interval is None:
-        return figure(median, 3)
-    return (figure(median, 3), tag("span", f" {figure(interval[0], 2)}…{figure(interval[1], 2)}", class_="interval"))
+        return rounded(median, 3)
+    return (rounded(median, 3), tag("span", f" {rounded(interval[0], 2)}…{rounded(interval[1], 2)}", class_="interval"))
 
 
 def residuals(evidence: Evidence) -> Section:
@@ -125,12 +125,12 @@ def _worst(evidence: Evidence) -> str:
         kind = np.where(spin < 0.1 * np.abs(judged.v), 0, np.where(spin < np.abs(judged.v), 1, 2))
         for i, name in enumerate(kinds):
             kinds[name] += size[(kind == i) & np.isfinite(size)].tolist()
-    told = [
-        f"{figure(float(np.median(sizes)), 2, 'm')} in {name} ({len(sizes)})" for name, sizes in kinds.items() if sizes
+    medians = [
+        f"{rounded(float(np.median(sizes)), 2, 'm')} in {name} ({len(sizes)})" for name, sizes in kinds.items() if sizes
     ]
-    if not told:
+    if not medians:
         return "Against the gyro alone, only turns can be judged."
-    return f"Median error of the end position: {', '.join(told)}."
+    return f"Median error of the end position: {', '.join(medians)}."
 
 
 def chi(evidence: Evidence) -> Section:
@@ -167,8 +167,8 @@ def consistency(evidence: Evidence) -> Section:
         else ""
     )
     first = (
-        f"NEES of {len(squared)} end poses: median {figure(float(np.median(squared)), 2)} (2.4 expected), mean"
-        f" {figure(float(np.mean(squared)), 2)} (3 expected).{held}"
+        f"NEES of {len(squared)} end poses: median {rounded(float(np.median(squared)), 2)} (2.4 expected), mean"
+        f" {rounded(float(np.mean(squared)), 2)} (3 expected).{held}"
     )
     caption = (
         f"On the dotted line a region holds what it claims; above it is wider than need be, below it too small.{own}"

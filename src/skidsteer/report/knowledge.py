@@ -7,7 +7,7 @@ from skidsteer.doctor import Finding
 from skidsteer.models import MODELS
 from skidsteer.report import model_charts
 from skidsteer.report.evidence import Evidence
-from skidsteer.report.markup import Content, Html, figure, spread, table, tag
+from skidsteer.report.markup import Content, Html, rounded, spread, table, tag
 from skidsteer.report.section import Section, drawn, left_out, section
 
 
@@ -21,7 +21,7 @@ def parameters(evidence: Evidence) -> Section:
     rows = []
     for name, e in calibration.estimates.items():
         state: Content = tag("em", "not determined", class_="bad") if not e.determined else ""
-        nominal_value = figure(before[name], 3) if name in before else ""
+        nominal_value = rounded(before[name], 3) if name in before else ""
         rows.append(
             (tag("code", name), *spread(e.value, e.sigma), e.unit, nominal_value, (meaning.get(name, ""), " ", state))
         )

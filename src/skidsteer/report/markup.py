@@ -96,7 +96,7 @@ def chart_text(text: str) -> str:
     return html.escape(printable(text), quote=False)
 
 
-def figure(value: float, digits: int = 2, unit: str = "") -> str:
+def rounded(value: float, digits: int = 2, unit: str = "") -> str:
     """A number to so many significant digits with its unit, without an exponent; a dash where there is none."""
     if not math.isfinite(value):
         return "–"
@@ -110,6 +110,6 @@ def figure(value: float, digits: int = 2, unit: str = "") -> str:
 def spread(value: float, sigma: float) -> tuple[str, str]:
     """Value and sigma, to two digits of the sigma."""
     if not (math.isfinite(sigma) and sigma > 0.0):
-        return figure(value, 5), "fixed"
+        return rounded(value, 5), "fixed"
     places = min(max(1 - math.floor(math.log10(float(f"{sigma:.2g}"))), 0), 8)
     return f"{value:.{places}f}".replace("-", "−"), f"{sigma:.{places}f}"

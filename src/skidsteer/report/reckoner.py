@@ -93,8 +93,8 @@ def reckoners(
     """
     records = {record.sha256 or record.name for record in calibration.provenance.drives}
     seen = [(drive.sha256 or drive.name) in records for drive in drives]
-    told = all(drive.reference is not None or drive.gyro is not None for drive in drives)
-    if folds is None and drives and told and all(seen) and len(drives) == len(records):
+    referenced = all(drive.reference is not None or drive.gyro is not None for drive in drives)
+    if folds is None and drives and referenced and all(seen) and len(drives) == len(records):
         folds = _folds(calibration, [replace(drive, vehicle=calibration.vehicle) for drive in drives])
     if folds is not None:
         return tuple(Reckoner(d, _parts(folds, i), folds.edges[i], True) for i, d in enumerate(drives))
@@ -127,8 +127,8 @@ def _whole(calibration: Calibration, drive: Drive, seen: bool, fit_delay: bool) 
 
 def fit_options(chosen: Mapping[str, str | float | int | bool | None]) -> FitOptions:
     """The options that a calibration was fitted with, from its provenance."""
-    told = str(chosen.get("mount", "0,0,0"))
-    place = None if told == "free" else Mount(*(float(word) for word in told.split(",")))
+    where = str(chosen.get("mount", "0,0,0"))
+    place = None if where == "free" else Mount(*(float(word) for word in where.split(",")))
     offset, lag = (None if chosen.get(name) is None else float(chosen[name] or 0.0) for name in ("time_offset", "lag"))
     return FitOptions(
         time_offset=offset,

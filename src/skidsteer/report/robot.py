@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skidsteer.report.markup import Html, figure, tag
+from skidsteer.report.markup import Html, rounded, tag
 from skidsteer.report.treads import TreadIcrs, ellipse
 from skidsteer.vehicle import Vehicle
 
@@ -63,8 +63,8 @@ def robot_drawing(vehicle: Vehicle, icrs: TreadIcrs) -> Html:
     ]
     height = deepest + FOOT
     label = (
-        f"The robot from above. Left tread ICR {figure(icrs.place[0, 1], 3)} m to the left, right one"
-        f" {figure(-icrs.place[1, 1], 3)} m to the right, {figure(icrs.place[:, 0].mean(), 2)} m ahead of base_link."
+        f"The robot from above. Left tread ICR {rounded(icrs.place[0, 1], 3)} m to the left, right one"
+        f" {rounded(-icrs.place[1, 1], 3)} m to the right, {rounded(icrs.place[:, 0].mean(), 2)} m ahead of base_link."
     )
     return tag("svg", *parts, viewBox=f"0 0 {WIDTH:g} {height:.0f}", role="img", aria_label=label, class_="robot")
 

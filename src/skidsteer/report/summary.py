@@ -8,7 +8,7 @@ from skidsteer.calibration import Calibration
 from skidsteer.models import MatrixModel
 from skidsteer.report.drift import Drift
 from skidsteer.report.evidence import Evidence
-from skidsteer.report.markup import Content, Html, figure, spread, tag
+from skidsteer.report.markup import Content, Html, rounded, spread, tag
 from skidsteer.report.reckoner import known_vehicle
 from skidsteer.report.robot import robot_drawing
 from skidsteer.report.treads import SLOW, TreadIcrs, tread_icrs
@@ -59,18 +59,18 @@ def sentence(evidence: Evidence) -> str:
     turn = evidence.calibration.model.twist(-SLOW, SLOW)[2]
     width = float(2.0 * SLOW / turn)
     return (
-        f"On the ground of this calibration the robot turns on the spot as if it were {figure(width, 3)} m wide, not"
-        f" {figure(nominal, 3)} m: reckoned with its track width it seems to turn {figure(width / nominal, 3)} times as"
-        " far as it does."
+        f"On the ground of this calibration the robot turns on the spot as if it were {rounded(width, 3)} m wide, not"
+        f" {rounded(nominal, 3)} m: reckoned with its track width it seems to turn {rounded(width / nominal, 3)} times"
+        " as far as it does."
     )
 
 
 def _metres(drift: Drift, name: str) -> str:
-    return figure(drift.errors[name], 2, "m")
+    return rounded(drift.errors[name], 2, "m")
 
 
 def _degrees(turn: Drift, name: str) -> str:
-    return figure(turn.errors[name], 2, "°")
+    return rounded(turn.errors[name], 2, "°")
 
 
 def _distance(evidence: Evidence) -> Number | None:
@@ -91,7 +91,7 @@ def _turn(evidence: Evidence) -> Number | None:
 
 
 def _stretches(drift: Drift, unit: str) -> str:
-    length = figure(drift.length, 3 if drift.length >= 100 else 2 if drift.length >= 10 else 1, unit)
+    length = rounded(drift.length, 3 if drift.length >= 100 else 2 if drift.length >= 10 else 1, unit)
     if drift.is_fitted:
         return (
             f"median RMS over {drift.stretches:.0f} stretches of {length}, each turned and moved to fit the reference"
@@ -135,8 +135,8 @@ def _basis(evidence: Evidence) -> Html:
     vehicle, before = known_vehicle(evidence.calibration.vehicle), before_name(evidence)
     if before == "shipped":
         multiplier, separation = vehicle.factory_multiplier or 1.0, vehicle.factory_separation or 0.0
-        told = "" if evidence.calibration.vehicle.factory_multiplier else f", by the preset of {vehicle.name}"
-        was = f"Before: the multiplier the robot ships with, {multiplier:g} on {separation:g} m{told}."
+        source = "" if evidence.calibration.vehicle.factory_multiplier else f", by the preset of {vehicle.name}"
+        was = f"Before: the multiplier the robot ships with, {multiplier:g} on {separation:g} m{source}."
     else:
         was = f"Before: a differential drive with the track width of {vehicle.track_width:g} m."
     return tag("p", was, " ", on_what(evidence), class_="basis")
@@ -175,17 +175,15 @@ def _caption(calibration: Calibration, vehicle: Vehicle, icrs: TreadIcrs) -> Con
 
 def _pair(name: str, icrs: TreadIcrs, i: int) -> str:
     value, sigma = spread(float(icrs.place[i, 1]), float(icrs.covariance[i, 1, 1] ** 0.5))
-    told = f"{value} m" if sigma == "fixed" else f"{value} ± {sigma} m"
-    return f"{name}: y = {told}"
+    return f"{name}: y = {value} m" if sigma == "fixed" else f"{name}: y = {value} ± {sigma} m"
 
 
 def _ahead(icrs: TreadIcrs) -> str:
     """Position of the axis of rotation."""
     left, right = icrs.place[:, 0].tolist()
     if abs(left - right) > 1e-3:  # a model in which the treads' ICRs are free
-        return f"x = {figure(left, 2)} m of the left one, {figure(right, 2)} m of the right one"
+        return f"x = {rounded(left, 2)} m of the left one, {rounded(right, 2)} m of the right one"
     value, sigma = spread(abs(left), float(icrs.covariance[0, 0, 0] ** 0.5))
     if sigma == "fixed":
         return f"icr_x: {value} m, where the model takes the robot to turn about"
-    told = f"{value} ± {sigma} m"
-    return f"icr_x: {told} {'behind' if left < 0.0 else 'ahead of'} base_link, where the robot turns about"
+    return f"icr_x: {value} ± {sigma} m {'behind' if left < 0.0 else 'ahead of'} base_link, where the robot turns about"
