@@ -77,7 +77,7 @@ def show_calibration(calibration: Calibration) -> None:
 
 def _profiles(calibration: Calibration) -> Table:
     """Parameters of each profile side by side."""
-    table = Table("profile", *calibration.parameters, box=None, pad_edge=False)
+    table = _table("profile", *calibration.parameters)
     for name, profile in {"all": calibration, **calibration.profiles}.items():
         table.add_row(escape(name), *(" +- ".join(_numbers(e)) for e in profile.parameters.values()))
     return table
@@ -91,9 +91,7 @@ def show_circles(found: CircleCalibration) -> None:
         for name, side in (("left", result.left), ("right", result.right))
         if side is not None
     }
-    table = Table("", box=None, pad_edge=False)
-    for name in sides:
-        table.add_column(escape(name), justify="right")
+    table = _table("", *map(escape, sides), right=slice(1, None))
     for title, cells in _circle_rows(list(sides.values())):
         table.add_row(escape(title), *cells)
     table.columns[0].no_wrap = True
@@ -112,8 +110,8 @@ def _circle_rows(sides: list[SideResult]) -> Iterator[tuple[str, list[str]]]:
     yield "chi", [f"{side.steering_efficiency:.3f}" for side in sides]
     pairs = sorted({(run.inner, run.outer) for side in sides for run in side.runs})
     if len(pairs) > PAIRS:
-        told = [[ratio for ratio in side.slip_ratios if ratio is not None] for side in sides]
-        yield "K_s, median", [f"{np.median(ratios):.2f}" if ratios else "open" for ratios in told]
+        known = [[ratio for ratio in side.slip_ratios if ratio is not None] for side in sides]
+        yield "K_s, median", [f"{np.median(ratios):.2f}" if ratios else "open" for ratios in known]
         return
     for inner, outer in pairs:
         yield f"K_s {inner:.3g}:{outer:.3g}", [_slip_ratios(side, inner, outer) for side in sides]
@@ -153,18 +151,16 @@ def _as_multipliers(held_out: HeldOut) -> str:
         f"{held_out.translation_m.rms:.3f} m": held_out.translation_m,
         f"{held_out.yaw_deg.rms:.1f} deg": held_out.yaw_deg,
     }
-    told = [text for text, spread in known.items() if np.isfinite(spread.rms)]
-    if not told and gyro is not None:
-        told = [f"{gyro.rms:.1f} deg against the gyro"]
-    return f"As multipliers of ROS 2's diff_drive_controller: {' and '.join(told)}."
+    errors = [text for text, spread in known.items() if np.isfinite(spread.rms)]
+    if not errors and gyro is not None:
+        errors = [f"{gyro.rms:.1f} deg against the gyro"]
+    return f"As multipliers of ROS 2's diff_drive_controller: {' and '.join(errors)}."
 
 
 def _parameters(calibration: Calibration) -> Table:
-    table = Table("parameter", "value", "+- sigma", "unit", "", box=None, pad_edge=False)
+    table = _table("parameter", "value", "+- sigma", "unit", "", right=slice(1, 3))
     for name, e in (calibration.parameters | calibration.nuisance).items():
         table.add_row(escape(name), *_numbers(e), escape(e.unit), "" if e.determined else "[red]not determined[/red]")
-    for column in table.columns[1:3]:
-        column.justify = "right"
     return table
 
 
@@ -178,17 +174,21 @@ def _numbers(e: Estimate) -> tuple[str, str]:
 
 def _errors(figures: Mapping[str, HeldOut], title: str, chosen: str = "", count: str = "model") -> Table:
     gyro = any(h.yaw_gyro_deg for h in figures.values())
-    table = Table(count, "windows", "median", "RMS", "95 %", "median", "RMS", "95 %", box=None, pad_edge=False)
-    table.title, table.title_justify = escape(f"{title}: translation [m], yaw [deg]"), "left"
-    if gyro:
-        table.add_column("vs gyro")
+    head = [count, "windows", *2 * ("median", "RMS", "95 %"), *["vs gyro"] * gyro]
+    table = _table(*head, right=slice(1, None), title=escape(f"{title}: translation [m], yaw [deg]"))
     for name, h in figures.items():
         t, y = h.translation_m, h.yaw_deg
         row = [escape(name), str(h.windows), *(_figure(v, 3) for v in (t.median, t.rms, t.p95))]
         row += [_figure(v, 2) for v in (y.median, y.rms, y.p95)]
         row += [f"{h.yaw_gyro_deg.median:.2f}" if h.yaw_gyro_deg else "-"] if gyro else []
         table.add_row(*row, style="bold" if name == chosen else None)
-    for column in table.columns[1:]:
+    return table
+
+
+def _table(*head: str, right: slice = slice(0), title: str | None = None) -> Table:
+    """A table without lines; the columns ``right`` are set to the right."""
+    table = Table(*head, title=title, title_justify="left", box=None, pad_edge=False)
+    for column in table.columns[right]:
         column.justify = "right"
     return table
 
@@ -228,7 +228,7 @@ def _excess(e: Excess | None) -> str:
 def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> None:
     """Held-out errors of all models, and the verdict."""
     _print_whole(_errors(held_out, "held-out error", chosen=selection.name))
-    table = Table("against the best", "translation", "yaw", "", box=None, pad_edge=False)
+    table = _table("against the best", "translation", "yaw", "")
     for name, c in selection.against_best.items():
         table.add_row(name, _excess(c.translation), _excess(c.yaw), "worse" if c.worse else "")
     OUT.print(table)
@@ -237,13 +237,13 @@ def show_comparison(held_out: Mapping[str, HeldOut], selection: Selection) -> No
 
 def show_terrains(found: Terrains) -> None:
     """Each pair of grounds: whether the parameters differ, and whether that matters."""
-    table = Table("calibration of", "on", "p", "translation", "yaw", "", box=None, pad_edge=False)
-    table.title, table.title_justify = f"{found.model}: errors against the ground's own calibration, held out", "left"
+    title = f"{found.model}: errors against the ground's own calibration, held out"
+    table = _table("calibration of", "on", "p", "translation", "yaw", "", title=title)
     for pair in found.pairs:
         for one, other, c in pair.sides:
             known = ("-", "-") if c is None else (_excess(c.translation), _excess(c.yaw))
-            told = "too short to tell" if c is None else "worse" if c.surely_worse else ""
-            table.add_row(escape(one), escape(other), f"{pair.difference.p:.2g}", *known, told)
+            verdict = "too short to tell" if c is None else "worse" if c.surely_worse else ""
+            table.add_row(escape(one), escape(other), f"{pair.difference.p:.2g}", *known, verdict)
     OUT.print(table)
     OUT.print(f"Verdict: {escape(found.because)}.")
 
@@ -277,13 +277,11 @@ COLOURS = {"error": "red", "warning": "yellow", "info": "blue"}
 def show_reproduction(name: str, done: Reproduction) -> None:
     """A line for each printed figure, with its verdict; the reasons; tables side by side; what is not calculated."""
     OUT.print(f"[bold]{name}[/bold]")
-    table = Table("", "paper", "ours", "difference", "verdict", box=None, pad_edge=False)
+    table = _table("", "paper", "ours", "difference", "verdict", right=slice(1, 4))
     for row in done.rows:
         numbers = ("-" if np.isnan(v) else f"{v:.4g}" for v in (row.paper, row.ours, row.difference))
         colour = "green" if row.verdict == "reproduced" else "yellow"
         table.add_row(escape(row.what), *numbers, f"[{colour}]{row.verdict}[/]")
-    for column in table.columns[1:4]:
-        column.justify = "right"
     OUT.print(table)
     for reason, rows in itertools.groupby(done.rows, key=lambda row: row.reason):
         if reason:
@@ -299,7 +297,7 @@ def show_reproduction(name: str, done: Reproduction) -> None:
 
 
 def _show_side_by_side(side: SideBySide) -> None:
-    table = Table(*map(escape, side.head), title=escape(side.title), title_justify="left", box=None, pad_edge=False)
+    table = _table(*map(escape, side.head), title=escape(side.title))
     for label, values in side.lines:
         table.add_row(escape(label), *("-" if np.isnan(v) else f"{v:.4g}" for v in values))
     OUT.print(table)
@@ -316,7 +314,7 @@ def show_check(
 ) -> None:
     """What a bag offers, what is wrong with the drive, and what it determines."""
     if topics is not None:
-        table = Table("topic", "type", "messages", "could serve as", "used as", box=None, pad_edge=False)
+        table = _table("topic", "type", "messages", "could serve as", "used as")
         for t in topics.topics:
             table.add_row(escape(t.name), escape(t.type), str(t.count), ", ".join(t.serves), t.used_as)
         table.columns[0].overflow = table.columns[1].overflow = "fold"
