@@ -100,7 +100,7 @@ def known(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_trial_reaches_the_printed_speed(known: None) -> None:
     done = trial(Experiment("Huskić", "grass", 1.73))
     assert done.reached == pytest.approx(1.73, abs=0.02)
-    assert 0.02 < done.told.mean < 0.08
+    assert 0.02 < done.summary.mean < 0.08
     assert done.share == pytest.approx(1.0, abs=0.01)
     assert done.asked != 1.73
 
@@ -109,7 +109,7 @@ def test_the_way_back_from_a_leap_is_measured(known: None, monkeypatch: pytest.M
     monkeypatch.setattr(huskic_simulated, "LAPS", 2)
     monkeypatch.setattr(huskic2017, "LAPS", 2)
     done = Experiment("Huskić", "vinyl", 1.0, leap=huskic2017.LEAP).drive(1.0)
-    assert done.told.largest == pytest.approx(huskic2017.LEAP, abs=0.2)
+    assert done.summary.largest == pytest.approx(huskic2017.LEAP, abs=0.2)
     assert 0.5 < huskic2017.way_to_return(done) < 5.0
 
 
@@ -121,9 +121,8 @@ def test_every_experiment_becomes_rows_that_tell_what_stands_in(known: None, mon
     rows = huskic2017.experiment_rows(trials)
     assert {row.verdict for row in rows} == {"not possible without the original data"}
     assert [row.paper for row in rows] == [14.5, 4.2, 100.0]
-    assert [row.ours for row in rows] == pytest.approx(
-        [100.0 * t for t in (*(trials[e].told.mean for e in list(trials)[:2]), list(trials.values())[2].told.largest)]
-    )
+    first, second, last = (done.summary for done in trials.values())
+    assert [row.ours for row in rows] == pytest.approx([100.0 * first.mean, 100.0 * second.mean, 100.0 * last.largest])
     assert all("simulated" in row.reason for row in rows)
     assert {row.verdict for row in huskic2017.law_rows()} == {"corrected"}
 

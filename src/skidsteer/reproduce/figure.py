@@ -44,7 +44,7 @@ def _look(i: int) -> dict[str, Any]:
 
 
 def draw(figure: Figure, path: Path) -> None:
-    """Write a drawing; the suffix of the path tells the format, svg or png.
+    """Write a drawing; the suffix of the path gives the format, svg or png.
 
     Raises:
         RequestError: matplotlib is not installed.

@@ -130,7 +130,7 @@ def experiment_rows(trials: dict[Experiment, Trial]) -> tuple[Row, ...]:
     rows = []
     for experiment, printed in EXPERIMENTS.items():
         done = trials[experiment]
-        ours = {"mean": CM * done.told.mean, "largest": CM * done.told.largest}
+        ours = {"mean": CM * done.summary.mean, "largest": CM * done.summary.largest}
         for which, value in printed.items():
             at = f"{experiment.speed:g} m/s"
             what = f"{which} error of {experiment.law} at {at}, {experiment.ground}{_with(experiment)} [cm]"
@@ -156,9 +156,9 @@ def _mismatch_rows(trials: dict[Experiment, Trial]) -> tuple[Row, ...]:
     rows = []
     for other in ("macadam", "grass"):
         done = trials[Experiment("Huskić", "vinyl", 1.4, other)]
-        reason = f"'high robustness'; with the ICRs of vinyl {CM * own.told.mean:.1f} cm at {own.reached:.2f} m/s"
+        reason = f"'high robustness'; with the ICRs of vinyl {CM * own.summary.mean:.1f} cm at {own.reached:.2f} m/s"
         what = f"mean error with the ICRs of {other} over that with its own, vinyl, Fig. 6"
-        rows.append(stands_in(what, float("nan"), done.told.mean / own.told.mean, reason))
+        rows.append(stands_in(what, float("nan"), done.summary.mean / own.summary.mean, reason))
     return tuple(rows)
 
 
@@ -203,6 +203,6 @@ def _sweep() -> Figure:
     for law in LAWS:
         done = [Experiment(law, "grass", v).drive(v) for v in SWEEP]
         reached = np.array([t.reached for t in done])
-        curves.append(Curve(law, reached, np.array([CM * t.told.mean for t in done])))
+        curves.append(Curve(law, reached, np.array([CM * t.summary.mean for t in done])))
     title = "Grass, simulated: published gains"
     return Figure("figure-5", title, "mean speed [m/s]", "mean cross-track error [cm]", tuple(curves))

@@ -63,18 +63,18 @@ class Trial:
     experiment: Experiment
     asked: float  # [m/s]
     run: Run
-    told: Summary
+    summary: Summary
 
     @property
     def reached(self) -> float:
         """Mean speed [m/s] along the path."""
-        return self.told.way / self.told.duration
+        return self.summary.way / self.summary.duration
 
     @property
     def share(self) -> float:
         """Of the way that was driven, at most 1."""
         path = self.run.path
-        return min(self.told.way / (LAPS * path.length if path.closed else path.length), 1.0)
+        return min(self.summary.way / (LAPS * path.length if path.closed else path.length), 1.0)
 
 
 def law(name: str, speed: float, model: Icr) -> Controller[Any]:

@@ -51,7 +51,7 @@ class Watched:
     """A drive in front of the scanner, by encoders and plate."""
 
     wheels: Series  # (n, 2) rim speeds [m/s] by counts
-    poses: Series  # (k, 3) in the scanner's frame, as the plate tells
+    poses: Series  # (k, 3) in the scanner's frame, from the plate
     motion: Motion  # the true one, from the origin
 
     def rolled(self, t: FloatArray) -> FloatArray:
