@@ -13,6 +13,8 @@ from skidsteer.se2 import FloatArray, compose, exp
 
 PLANT = Icr(0.48, -0.42, 0.28, 0.9, 0.93)  # every parameter non-zero, no two alike
 CENTRED = Icr(0.48, -0.42, 0.0, 0.9, 0.93)
+# PLANT with its rear taken for its front
+TURNED = Icr(-PLANT.icr_y_right, -PLANT.icr_y_left, -PLANT.icr_x, PLANT.alpha_right, PLANT.alpha_left)
 
 
 class Run(NamedTuple):
@@ -33,10 +35,9 @@ def follow(
     for _ in range(round(duration / dt)):
         rims = wheels.speeds(*controller.command(pose, twist, state))
         near = path.project(pose[:2], near=near)
-        rows.append((pose, rims, state.s, path.error(pose, near)[1]))
         twist = wheels.model.twist(rims[0], rims[1])
+        rows.append((pose, rims, state.s, path.error(pose, near)[1], twist))
         v, _, omega = twist.tolist()
-        rows[-1] = (*rows[-1], twist)
         pose = compose(pose, exp(twist * dt))
         state = controller.advance(state, pose, twist, dt, (v, omega))
     return Run(*(np.array(column) for column in zip(*rows, strict=True)))

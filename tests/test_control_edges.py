@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from control_loop import PLANT, follow
+from control_loop import PLANT, TURNED, follow
 from skidsteer.control import (
     Controller,
     Huskic,
@@ -29,8 +29,6 @@ from skidsteer.se2 import compose
 CURVE = clothoid(6.0, -0.5, 0.6, (1.0, -2.0, 0.7))
 WHEELS = Wheels(PLANT, 1.2)
 STILL, ASKED = np.zeros(3), (0.9, 0.3)
-# the same robot, its rear taken for its front
-TURNED = Icr(-PLANT.icr_y_right, -PLANT.icr_y_left, -PLANT.icr_x, PLANT.alpha_right, PLANT.alpha_left)
 
 
 def controllers(wheels: Wheels, icr_x: float) -> dict[str, Controller[PathState]]:

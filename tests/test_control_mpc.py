@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from control_loop import PLANT
+from control_loop import PLANT, TURNED
 from skidsteer.control import Limits, Observer, Predictive, PredictiveGains, Wheels, speed_profile
 from skidsteer.control.predictive import PredictiveState
 from skidsteer.errors import DataError, RequestError
@@ -30,8 +30,6 @@ from skidsteer.vehicle import preset
 EIGHT = lemniscate(110.77 / 5.0 / 2.622057)
 WHEELS = Wheels(PLANT, 3.0)
 SUMMIT = preset("summit-xl")
-# the same robot, its rear taken for its front
-TURNED = Icr(-PLANT.icr_y_right, -PLANT.icr_y_left, -PLANT.icr_x, PLANT.alpha_right, PLANT.alpha_left)
 STILL = np.zeros(3)
 
 # every number of a body non-zero: stage, period, lag; scale, loss, icr_x, compliance, give, gain, drift, ease; wheels

@@ -159,8 +159,8 @@ class Predictive:
             return state
         ahead = state.direction
         asked = ahead * commanded[0], commanded[1]
-        told = None if reckoned else _along(at, ahead)
-        estimate = self._observer.advance(state.estimate, told, ahead * v, omega, dt, asked[1])
+        measured = None if reckoned else _along(at, ahead)
+        estimate = self._observer.advance(state.estimate, measured, ahead * v, omega, dt, asked[1])
         s = state.path.project(estimate.pose[:2], near=state.s)
         stages = np.arange(len(state.plan))
         plan = np.interp(stages + dt / state.stage, stages, state.plan)

@@ -131,7 +131,7 @@ class SaturationSpeed:
         Args:
             v1: [m^2] the Lyapunov function, Eq. (8).
             curvature: [1/m] omega / v_x on the path.
-            omega: [rad/s] measured; its sign tells the outer side.
+            omega: [rad/s] measured; its sign says which side is the outer one.
         """
         speed, near = self.wheels.reachable(curvature), min(max(2.0 - 2.0 * v1 / self.epsilon, 0.0), 1.0)
         if near < 1.0:  # blended over the upper half of epsilon

@@ -13,7 +13,7 @@ from skidsteer.windows import Timing, Windows, predict
 HERE = np.diag([1e-6, 1e-6, 1e-6]) ** 2  # [m^2, m^2, rad^2] of a robot that begins at the origin by definition
 ANYWHERE = (100.0, 3.0)  # [m], [rad]: sigma before the first reference is taken
 ALIGNED = 0.3  # [rad] sigma of a heading found by alignment: close enough to linearise
-STRETCH = 5.0  # [m] of path over which positions are aligned; less than a metre tells no heading
+STRETCH = 5.0  # [m] of path over which positions are aligned; less than a metre gives no heading
 
 
 def begin(filter: Filter, log: Log, model: Model, lag: float) -> FilterState:

@@ -231,8 +231,7 @@ class IcrFilter:
                 f"a yaw rate over {measurement.duration:g} s for a step of {memory[kernel.SINCE]:g} s;"
                 " let a Timeline divide it"
             )
-        told = (mean, P, memory, self.setup, measurement.rate, measurement.variance)
-        innovation, S, flag = take_yaw_rate(*told)
+        innovation, S, flag = take_yaw_rate(mean, P, memory, self.setup, measurement.rate, measurement.variance)
         return innovation**2 / S, 1, flag
 
 

@@ -46,7 +46,7 @@ class Timeline:
         start = self._back_to(measurement.time - span, measurement.time)
         before = self.past[start][0] if start < len(self.past) else self.now
         events = _inserted([event for _, event in self.past[start:]], before.time, measurement, span)
-        past, state, told = list(self.past[:start]), before, []
+        past, state, innovations = list(self.past[:start]), before, []
         for event, new in events:
             past.append((state, event))
             if isinstance(event, Step):
@@ -54,8 +54,8 @@ class Timeline:
                 continue
             state, innovation = self.filter.update(state, event)
             if new:
-                told.append(innovation)
-        return replace(self, now=state, past=tuple(past)), _total(told)
+                innovations.append(innovation)
+        return replace(self, now=state, past=tuple(past)), _total(innovations)
 
     def _with(self, more: tuple[Past, ...], now: FilterState) -> Timeline:
         past = self.past
@@ -94,7 +94,7 @@ def _inserted(
     begin, end = measurement.time - span, measurement.time
     rate = measurement if isinstance(measurement, YawRate) and span > 0.0 else None
     placed = rate is not None
-    for event, told in _with_rates(events):
+    for event, rated in _with_rates(events):
         if not isinstance(event, Step):
             yield event, False
             continue
@@ -105,8 +105,8 @@ def _inserted(
             inside = begin - SAME_TIME <= clock and clock + piece.dt <= end + SAME_TIME
             clock += piece.dt
             yield piece, False
-            if told is not None:
-                yield YawRate(clock, told.rate, told.variance * (event.dt / piece.dt)), False
+            if rated is not None:
+                yield YawRate(clock, rated.rate, rated.variance * (event.dt / piece.dt)), False
             elif rate is not None and inside:
                 yield YawRate(clock, rate.rate, rate.variance * (span / piece.dt)), True
     if not placed:
@@ -132,6 +132,6 @@ def _cut(step: Step, cuts: list[float]) -> Iterator[Step]:
         yield Step(wheels, b - a, step.sampled and a == 0.0)
 
 
-def _total(told: Sequence[Innovation]) -> Innovation:
-    accepted, anchored = all(i.accepted for i in told), any(i.anchored for i in told)
-    return Innovation(sum(i.squared for i in told), sum(i.dof for i in told), bool(told) and accepted, anchored)
+def _total(parts: Sequence[Innovation]) -> Innovation:
+    accepted, anchored = all(i.accepted for i in parts), any(i.anchored for i in parts)
+    return Innovation(sum(i.squared for i in parts), sum(i.dof for i in parts), bool(parts) and accepted, anchored)

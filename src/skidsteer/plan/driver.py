@@ -47,5 +47,5 @@ class Driver:
 
     @classmethod
     def of_circles(cls, table: SlipTable, vehicle: Vehicle) -> Driver:
-        """By the slip ratios of circle runs, which tell neither lag nor noise: these are assumed."""
+        """By the slip ratios of circle runs, which hold neither lag nor noise: these are assumed."""
         return cls(vehicle, table, Uncertainty(Noise(), np.zeros((2, 2))), encoding=ENCODINGS.get(vehicle.name))
