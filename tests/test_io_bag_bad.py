@@ -271,9 +271,17 @@ def test_value_of_absurd_size_is_not_taken(tmp_path: Path) -> None:
 
 
 def test_cut_database(tmp_path: Path) -> None:
-    (whole,) = write_bag(example_drive(4.0), tmp_path / "b", "sqlite3").glob("*.db3")
+    """A copy that was cut: what is whole of it is read, as long as its first pages are there."""
+    drive = example_drive(8.0)
+    (whole,) = write_bag(drive, tmp_path / "b", "sqlite3").glob("*.db3")
     data = whole.read_bytes()
-    (tmp_path / "cut.db3").write_bytes(data[: len(data) // 3])
+    (tmp_path / "cut.db3").write_bytes(data[: len(data) * 2 // 3 + 17])
+    got, contents = read_bag_noted(tmp_path / "cut.db3", VEHICLE)
+    assert any("cut.db3: damaged; not all of its messages can be read" in note for note in contents.notes)
+    assert 0.5 * len(drive.wheels) < len(got.wheels) < len(drive.wheels)
+    kept = np.isin(drive.wheels.t, got.wheels.t)
+    np.testing.assert_allclose(got.wheels.values, drive.wheels.values[kept], atol=4e-15)
+    (tmp_path / "cut.db3").write_bytes(data[:3000])
     with pytest.raises(DataError, match=r"cut.db3.*damaged"):
         read_bag(tmp_path / "cut.db3", VEHICLE)
 

@@ -217,7 +217,7 @@ def test_torn_database_is_read_page_by_page(tmp_path: Path) -> None:
     for committed in (400, 1200, 2800):
         path = torn(whole, tmp_path / f"torn{committed}.db3", committed)
         got, contents = read_bag_noted(path, VEHICLE)
-        (note,) = (note for note in contents.notes if "the recorder died while it wrote" in note)
+        (note,) = (note for note in contents.notes if "its recorder died while it wrote" in note)
         assert int(note.split("; ")[1].split()[0]) > 3000 - committed
         for part in ("wheels", "pose", "gyro"):
             found, expected = getattr(got, part), getattr(drive, part)

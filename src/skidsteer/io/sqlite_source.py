@@ -34,6 +34,7 @@ class SqliteSource:
         self._path = path
         self.notes: list[str] = []
         self._open = ExitStack()
+        self._broken = False  # not all messages can be counted
         self._ids: set[int] | None = None  # of the messages that a torn file still leads to; None for a whole file
         try:
             self._connection = self._connected()
@@ -104,27 +105,28 @@ class SqliteSource:
         self._topics = {key: replace(topic, count=topic.count + counts[key]) for key, topic in self._topics.items()}
         if found := sum(counts[key] for key in self._topics):
             self.notes.append(
-                f"{self._path.name}: the recorder died while it wrote; {found} messages were found that the file no"
-                " longer leads to, none of more than 4 kB"
+                f"{self._path.name}: cut, or its recorder died while it wrote; {found} messages were found that the"
+                " file no longer leads to, none of more than 4 kB"
             )
 
     def _is_torn(self) -> bool:
         """Whether the file has pages beyond its end, or an index of more messages than it leads to."""
-        ask = self._connection.execute
+        ask, indexed = self._connection.execute, 0
         try:
             ((pages,), (size,)) = (ask(f"PRAGMA page_{what}").fetchone() for what in ("count", "size"))
             ((indexed,),) = ask("SELECT count(*) FROM messages INDEXED BY timestamp_idx")
-        except sqlite3.OperationalError:  # written by hand, without that index
-            return False
+        except sqlite3.OperationalError:  # no such index: not of rosbag2's own hand
+            pass
         except sqlite3.Error:
             return True
         counted = sum(topic.count for topic in self._topics.values())
-        return bool(self._file.stat().st_size > pages * size or indexed > counted)
+        return self._broken or self._file.stat().st_size > pages * size or indexed > counted
 
     def _ids_by_tree(self) -> set[int]:
+        """Of the messages that can be read whole, up to the first that cannot."""
         found: set[int] = set()
         try:
-            for (key,) in self._connection.execute("SELECT id FROM messages NOT INDEXED"):
+            for key, _ in self._connection.execute("SELECT id, data FROM messages NOT INDEXED"):
                 found.add(key)
         except sqlite3.Error:
             pass
@@ -135,8 +137,19 @@ class SqliteSource:
         marks = ",".join("?" * len(keys))
         query = f"SELECT topic_id, timestamp, data FROM messages NOT INDEXED WHERE topic_id IN ({marks}) LIMIT ?"
         cursor = self._connection.execute(query, (*keys, limit))
-        while batch := cursor.fetchmany(_AT_A_TIME):
-            yield batch
+        while True:
+            rows: list[tuple[int, int, bytes]] = []
+            error = None
+            try:
+                rows.extend(islice(cursor, _AT_A_TIME))
+            except sqlite3.Error as caught:  # those before it are sound
+                error = caught
+            if rows:
+                yield rows
+            if error is not None:
+                raise error
+            if len(rows) < _AT_A_TIME:
+                return
 
     def _guard(self) -> None:
         """Take from the file nothing but data, and nothing absurdly long."""
@@ -144,10 +157,19 @@ class SqliteSource:
         self._connection.execute("PRAGMA trusted_schema = OFF")
         if sys.version_info >= (3, 11):
             self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
-        tables = {name for (name,) in self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        tables = self._tables()
         if not {"topics", "messages"} <= tables:
             held = shown(", ".join(sorted(map(str, tables)))) or "none"
             raise DataError(f"{self._path}: is no rosbag2 recording; its tables are {held}, not topics and messages")
+
+    def _tables(self) -> set[str]:
+        ask = "SELECT name FROM sqlite_master WHERE type = 'table'"
+        try:
+            return {name for (name,) in self._connection.execute(ask)}
+        except sqlite3.DatabaseError:
+            # Shorter than it says, as after a copy that was cut: SQLite opens such a file in this mode only.
+            self._connection.execute("PRAGMA writable_schema = ON")
+            return {name for (name,) in self._connection.execute(ask)}
 
     def _list_topics(self) -> dict[int, BagTopic]:
         definitions, counts = self._definitions(), self._counts()
@@ -172,6 +194,7 @@ class SqliteSource:
         try:
             return Counter(dict(self._connection.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id")))
         except sqlite3.Error:
+            self._broken = True
             found: Counter[int] = Counter()
             try:
                 for (key,) in self._connection.execute("SELECT topic_id FROM messages"):
