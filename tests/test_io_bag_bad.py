@@ -281,7 +281,7 @@ def test_cut_database(tmp_path: Path) -> None:
     assert 0.5 * len(drive.wheels) < len(got.wheels) < len(drive.wheels)
     kept = np.isin(drive.wheels.t, got.wheels.t)
     np.testing.assert_allclose(got.wheels.values, drive.wheels.values[kept], atol=4e-15)
-    (tmp_path / "cut.db3").write_bytes(data[:3000])
+    (tmp_path / "cut.db3").write_bytes(data[:9000])
     with pytest.raises(DataError, match=r"cut.db3.*damaged"):
         read_bag(tmp_path / "cut.db3", VEHICLE)
 
