@@ -22,7 +22,7 @@ from skidsteer.io.raw import BagTopic, Source, shown
 from skidsteer.io.reference import Frames, antenna_place, read_gyro, read_reference
 from skidsteer.io.scans import plate_poses
 from skidsteer.io.stamps import Clock, Timed, common_start, concatenated, to_series
-from skidsteer.io.topics import ROLES, Choice, Looks, candidates, choose, offer
+from skidsteer.io.topics import ROLES, Choice, Looks, candidates, choose, namespace_of, offer
 from skidsteer.io.wheels import joint_wheels, joints_in, pair_wheels, sides_in, twist_wheels
 from skidsteer.vehicle import Vehicle
 
@@ -173,8 +173,17 @@ def _refuse_plate_without_scans(
 def _tables(source: Source, choice: Choice, notes: list[str]) -> dict[BagTopic, list[Samples]]:
     """All messages of the chosen topics, and all static transforms; of the other transforms only if chosen."""
     wanted = [topic for candidate in choice.chosen.values() for topic in candidate.topics]
-    wanted += [topic for topic in source.topics if topic.type in TF_TYPES and _needs(topic, wanted)]
+    wanted += [topic for topic in _transforms(source, choice) if _needs(topic, wanted)]
     return gather(source, wanted, notes)
+
+
+def _transforms(source: Source, choice: Choice) -> list[BagTopic]:
+    """Topics of transforms, without those of other robots: their frames may have the same names."""
+    topics = [topic for topic in source.topics if topic.type in TF_TYPES]
+    robot = namespace_of(choice.chosen["wheels"].topics[0])
+    if not robot or robot not in map(namespace_of, topics):
+        return topics
+    return [topic for topic in topics if namespace_of(topic) in (robot, "")]
 
 
 def _needs(topic: BagTopic, wanted: Sequence[BagTopic]) -> bool:

@@ -54,6 +54,7 @@ _NEAR_BASE = {"out", "controller", "platform", "base", "mux"}
 _FAR_FROM_BASE = {"joy", "teleop", "nav", "key", "keyboard", "web", "smooth", "raw", "marker", "external"}
 _MEASURED = {"odom", "wheel", "wheels", "measured", "feedback", "actual", "status", "encoder"}
 _FEW, _FEW_COST = 10, 10
+_ITS_OWN = 6  # what the namespace of the robot counts, more than words like raw, less than a camera's IMU costs
 _CAMERA = {"camera", "realsense", "zed", "ouster", "os", "velodyne", "livox", "d435i", "t265", "hand"}
 
 
@@ -218,6 +219,8 @@ def choose(topics: Sequence[BagTopic], options: BagOptions, looks: Looks) -> Cho
     named = {name for names in asked.values() if names for name in names.split(",")}
     for role in ROLES:
         found = candidates(role, topics, looks)
+        if "wheels" in chosen:
+            found = _same_robot_first(role, found, chosen["wheels"])
         wanted = asked.get(role)
         taken = {topic for candidate in chosen.values() for topic in candidate.topics}
         if wanted:
@@ -229,6 +232,27 @@ def choose(topics: Sequence[BagTopic], options: BagOptions, looks: Looks) -> Cho
             chosen[role] = pick
             others[role] = tuple(item for item in found if item.name != pick.name and not set(item.topics) & taken)
     return Choice(chosen, others)
+
+
+def namespace_of(topic: BagTopic) -> str:
+    """The first of the names that a topic's name is made of, "" where it is the only one."""
+    first, *rest = topic.name.strip("/").split("/")
+    return first if rest else ""
+
+
+def _same_robot_first(role: str, found: Sequence[Candidate], wheels: Candidate) -> list[Candidate]:
+    """Candidates in order, those ahead that are of the robot of the wheels by their namespace.
+
+    Of several robots, one's IMU must not go with another's wheels. What sees them all has its own namespace: for a
+    reference, the robot only decides between equals.
+    """
+    robot = namespace_of(wheels.topics[0])
+
+    def key(item: Candidate) -> float:
+        is_its = bool(robot) and robot in item.topics[0].name.split("/")
+        return -(item.score + is_its * (item.score >= 0) * (0.5 if role == "reference" else _ITS_OWN))
+
+    return sorted(found, key=key)
 
 
 def _is_taken(candidate: Candidate, taken: set[BagTopic], named: set[str]) -> bool:
