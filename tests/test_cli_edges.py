@@ -328,5 +328,27 @@ def test_a_table_of_numbers_is_whole_however_narrow(
 def test_the_folder_of_a_calibration_will_do(calibrated: Path, short: Path, call: Call) -> None:
     code, out, _ = call("evaluate", calibrated.parent, short, "--json")
     assert (code, out) == (0, call("evaluate", calibrated, short, "--json")[1])
-    code, _, err = call("evaluate", short, short)
-    assert (code, err) == (1, f"skidsteer: {short / 'calibration.yaml'}: no such file\n")
+
+
+def test_a_drive_without_a_reference_is_no_judge(short: Path, calibrated: Path, tmp_path: Path, call: Call) -> None:
+    blind = tmp_path / "blind"
+    write_folder(replace(load_drive(short), pose=None), blind)
+    told = "skidsteer: blind: has nothing to judge by; add pose.csv (t, x, y, yaw), position.csv or imu.csv (gyro_z)\n"
+    assert call("evaluate", calibrated, blind) == (1, "", told)
+
+
+def test_a_drive_in_place_of_a_calibration_is_told(short: Path, calibrated: Path, tmp_path: Path, call: Call) -> None:
+    made = "make one with `skidsteer calibrate DRIVE --out DIR`\n"
+    told = f"skidsteer: {short}: is a drive, and a calibration is wanted here; {made}"
+    assert call("evaluate", short, short) == (1, "", told)
+    assert call("report", tmp_path) == (1, "", f"skidsteer: {tmp_path}: holds no calibration.yaml; {made}")
+
+
+def test_a_cured_drive_does_not_take_the_place_of_the_recorded_one(short: Path, tmp_path: Path, call: Call) -> None:
+    log = tmp_path / "log"
+    shutil.copytree(short, log)
+    before = {path.name: path.read_bytes() for path in log.iterdir()}
+    code, out, error = call("check", log, "--fix", "--out", tmp_path / "log" / ".." / "log")
+    assert (code, out, error.count("\n")) == (1, "", 1)
+    assert "--out must be another folder than the drive, which stays as it was recorded" in error
+    assert {path.name: path.read_bytes() for path in log.iterdir()} == before

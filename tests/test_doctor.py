@@ -225,6 +225,15 @@ def test_a_drift_is_told_beside_turns_by_hand() -> None:
     assert drift_against(Signal(0.0, 0.1, np.ones((10, 1))), wheels_say) == NO_DRIFT
 
 
+def test_milliseconds_for_seconds_are_one_finding(drive: Drive) -> None:
+    parts = {name: getattr(drive, name) for name in ("wheels", "pose", "gyro")}
+    wrong = replace(drive, **{name: Series(1e3 * s.t, s.values, name) for name, s in parts.items()})
+    (finding,) = examine(wrong)
+    assert finding.kind == "time_unit"
+    assert "10 s apart: is the time in milliseconds?" in finding.what
+    assert not finding.fixable
+
+
 def test_a_gyro_alone_cannot_tell_whose_sign_is_wrong(drive: Drive) -> None:
     alone = replace(drive, pose=None)
     assert examine(alone) == ()

@@ -83,6 +83,11 @@ def test_series_of_numbers_becomes_one_column() -> None:
         ),
         ([0, np.inf], [1, 2], "w: sample 2 of 2 (t = inf s) is NaN or infinite (1 in all); remove those rows"),
         (
+            [0, 1, 2],
+            [1, -1e200, 3],
+            "w: sample 2 of 3 (t = 1.000 s) holds 1e+200, which no sensor tells (1 in all); remove those rows",
+        ),
+        (
             [0, 1, 1, 0.5],
             [1, 2, 3, 4],
             "w: sample 3 (t = 1.000 s) repeats the time of the one before; sort by time, keep one each",

@@ -13,13 +13,16 @@ from skidsteer.errors import DataError
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import Vehicle
 
+LARGEST = 1e9  # of any number of a series: squares of larger ones drown all others
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """Samples on a strictly increasing clock: ``t`` (n,) [s], ``values`` (n, k). Immutable and finite.
 
     Raises:
-        DataError: shapes that do not fit, fewer than one sample, NaN or infinity, a clock that does not increase.
+        DataError: shapes that do not fit, fewer than one sample, NaN, infinity or numbers beyond ``LARGEST``, a clock
+            that does not increase.
     """
 
     t: FloatArray
@@ -36,6 +39,7 @@ class Series:
         if len(t) == 0:
             raise DataError(f"{self.name}: no samples")
         _refuse_nonfinite(self.name, t, values)
+        _refuse_huge(self.name, t, values)
         _refuse_unsorted(self.name, t)
         for array, attribute in ((t, "t"), (values, "values")):
             array.setflags(write=False)
@@ -60,6 +64,16 @@ def _refuse_nonfinite(name: str, t: FloatArray, values: FloatArray) -> None:
     if bad.size:
         raise DataError(
             f"{name}: sample {bad[0] + 1} of {len(t)} (t = {t[bad[0]]:.3f} s) is NaN or infinite"
+            f" ({bad.size} in all); remove those rows"
+        )
+
+
+def _refuse_huge(name: str, t: FloatArray, values: FloatArray) -> None:
+    bad = np.flatnonzero((np.abs(values) > LARGEST).any(axis=1))
+    if bad.size:
+        worst = float(np.abs(values[bad[0]]).max())
+        raise DataError(
+            f"{name}: sample {bad[0] + 1} of {len(t)} (t = {t[bad[0]]:.3f} s) holds {worst:.3g}, which no sensor tells"
             f" ({bad.size} in all); remove those rows"
         )
 

@@ -38,12 +38,16 @@ def evaluate(
         fit_delay: find the time offset of each drive first; it belongs to the logging set-up, not to the robot.
 
     Raises:
-        DataError: a drive has no window to judge by.
+        DataError: a drive has no reference, or no window to judge by.
     """
     parts: list[WindowErrors] = []
     figures: dict[str, HeldOut] = {}
     offsets: dict[str, float] = {}
     for drive in drives:
+        if drive.reference is None and drive.gyro is None:
+            raise DataError(
+                f"{drive.name}: has nothing to judge by; add pose.csv (t, x, y, yaw), position.csv or imu.csv (gyro_z)"
+            )
         timing = calibration.timing
         place = mount(calibration, drive)
         if fit_delay and drive.reference is not None:

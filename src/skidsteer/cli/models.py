@@ -175,6 +175,8 @@ def check(
 
     if fix != (out is not None):
         raise RequestError("--fix and --out DIR belong together")
+    if out is not None and any(out.resolve() == Path(word).resolve() for word in drive):
+        raise RequestError(f"{out}: --out must be another folder than the drive, which stays as it was recorded")
     topics = source.topics(drive)
     loaded = source.load_one(drive)
     findings = examine(loaded)

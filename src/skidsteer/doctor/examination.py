@@ -12,6 +12,7 @@ from skidsteer.doctor.limits import limit_findings
 from skidsteer.doctor.mounting import mounting_findings
 from skidsteer.doctor.pauses import pause_findings
 from skidsteer.doctor.sampling import sampling_findings
+from skidsteer.doctor.signals import BREAK, sampling_period
 from skidsteer.doctor.signs import sign_findings
 from skidsteer.doctor.units import unit_findings
 from skidsteer.drive import Drive
@@ -32,12 +33,31 @@ SEEN_OF_A_DEAD_SIDE = ("clock_jump", "clock_drift", "clock_offset", "wheel_radiu
 
 
 def examine(drive: Drive) -> tuple[Finding, ...]:
-    """What is wrong with a drive, or worth knowing, the worst first; empty where nothing is."""
+    """What is wrong with a drive, or worth knowing, the worst first; empty where nothing is.
+
+    Where the wheels are logged too seldom to tell motion, that is all there is to say.
+    """
+    if (period := sampling_period(drive.wheels.t)) > BREAK:
+        return (_seldom(period),)
     evidence = gather(drive)
     unfold = evidence.folding.unfold
     found = _unexplained([finding for test in TESTS for finding in test(evidence)])
     found = [replace(f, where=tuple((unfold(start), unfold(end)) for start, end in f.where)) for f in found]
     return tuple(sorted(found, key=lambda finding: -SEVERITIES.index(finding.severity)))
+
+
+def _seldom(period: float) -> Finding:
+    """The finding about wheel samples that far apart [s]; milliseconds taken for seconds are the usual cause."""
+    return Finding(
+        "time_unit",
+        f"Wheel samples are {period:.3g} s apart: is the time in milliseconds?",
+        (),
+        0.9,
+        "error",
+        f"Beyond {BREAK:g} s the motion between two samples is unknown; nothing else can be judged.",
+        "Write t in seconds (milliseconds divided by 1000); else log the wheels at 10 Hz or more.",
+        False,
+    )
 
 
 def _unexplained(found: list[Finding]) -> list[Finding]:

@@ -23,6 +23,7 @@ KINDS: dict[str, str] = {
     "wheels_in_mm_s": "wheel speeds are in mm/s",
     "wheels_in_ticks": "wheel speeds are in encoder ticks a second",
     "wheel_radius": "wheel speeds are wrong by a large factor",
+    "time_unit": "time is not in seconds, or the wheels were logged too seldom",
     "clock_offset": "one clock is ahead of another by more than a delay explains",
     "clock_drift": "one clock runs faster than another",
     "clock_jump": "a clock jumped or was reset",

@@ -253,7 +253,8 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     Raises:
         DataError: no such file, not YAML, not a calibration, of another version, or with values that cannot be.
     """
-    path = os.path.join(path, FILE) if os.path.isdir(path) else path
+    if os.path.isdir(path):
+        path = _in_folder(path)
     content = _parse(path, decode(path, read_bytes(path, LARGEST)))
     version = content.get("skidsteer_calibration")
     if version != SCHEMA:
@@ -268,6 +269,15 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
         raise DataError(f"{path}: {where}: {first['msg']}") from error
     except (ValueError, TypeError) as error:
         raise DataError(f"{path}: {error}") from error
+
+
+def _in_folder(folder: str | os.PathLike[str]) -> str:
+    path = os.path.join(folder, FILE)
+    if not os.path.lexists(path):
+        is_drive = os.path.lexists(os.path.join(folder, "wheels.csv"))
+        what = "is a drive, and a calibration is wanted here" if is_drive else f"holds no {FILE}"
+        raise DataError(f"{folder}: {what}; make one with `skidsteer calibrate DRIVE --out DIR`")
+    return path
 
 
 def _parse(path: str | os.PathLike[str], text: str) -> dict[str, Any]:
