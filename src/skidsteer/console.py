@@ -320,9 +320,9 @@ def show_check(
         table.columns[0].overflow = table.columns[1].overflow = "fold"
         OUT.print(table)
     parts = {"pose": drive.pose, "position": drive.position, "gyro": drive.gyro, "command": drive.command}
-    has = ", ".join(f"{name} {len(series)}" for name, series in parts.items() if series is not None)
+    has = "".join(f", {name} {len(series)}" for name, series in parts.items() if series is not None)
     start, end = drive.span
-    OUT.print(f"[bold]{escape(drive.name)}[/bold]: {end - start:.1f} s, wheels {len(drive.wheels)} samples, {has}")
+    OUT.print(f"[bold]{escape(drive.name)}[/bold]: {end - start:.1f} s, wheels {len(drive.wheels)} samples{has}")
     judged = not isinstance(verdict, str)  # says more than the findings about how it was driven
     findings = [f for f in findings if not (judged and f.kind in EXCITATION)]
     for f in findings:
