@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_array_equal
 
-from skidsteer.drive import Drive, Series
+from skidsteer.drive import LARGEST, Drive, Series
 from skidsteer.errors import DataError, SkidSteerError
 from skidsteer.io.drives import load_drive, load_drives
 from skidsteer.io.folder import read_csv_files, read_folder, vehicle, write_folder
@@ -328,7 +328,7 @@ def test_names_what_is_wrong_with_a_set_of_files(folder: Path) -> None:
 
 # --- writing ---
 
-values = st.floats(allow_nan=False, allow_infinity=False)
+values = st.floats(-LARGEST, LARGEST)
 
 
 @st.composite
