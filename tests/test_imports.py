@@ -14,7 +14,8 @@ ARCHITECTURE = SOURCE.parents[1] / "docs" / "architecture.md"
 
 # Bottom to top: a room imports only from rooms before it. Rooms that are planned but not built yet may stand here.
 ORDER = """
-    errors progress se2 vehicle drive kernels paths models windows gyro student noise outliers heading prediction metrics multipliers calibration
+    errors progress se2 student vehicle drive kernels paths models windows gyro noise outliers heading prediction
+    metrics multipliers calibration
     simulate rolling terramechanics mujoco_plant samples p3at laser
     io doctor identify evaluation
     odometry control plants follow plan export report figures reproduce

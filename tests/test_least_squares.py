@@ -6,12 +6,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
+from noisy_drives import TRUE_NOISE, simulated
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError
 from skidsteer.identify.calibrate import calibrate
 from skidsteer.identify.least_squares import Fit, FitOptions, find_offset, fit, fit_supported
+from skidsteer.identify.problem import Problem
+from skidsteer.identify.unknowns import Unknowns
 from skidsteer.models import Differential, Icr, ScheduledIcr, SymmetricIcr
-from skidsteer.noise import EPISODE, Noise
+from skidsteer.noise import Noise, Weights
+from skidsteer.outliers import EPISODE
 from skidsteer.samples import P3AT_LAG, P3AT_MOTION_NOISE, P3AT_TRUTH, on_ground, sample
 from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.simulate import Sensors, controller, kinematic_drive, rims_from_manoeuvres
@@ -557,3 +561,30 @@ def test_slow_drives_by_the_forces_show_that_icrs_move_inwards_on_straighter_pat
     value, sigma = found.named("straight_gain")
     assert 0.1 < value < 0.3
     assert value > 5.0 * sigma
+
+
+def test_the_search_ends_where_no_step_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stamps that scatter make the covariances depend on the model: the likelihood that they are a part of once stopped
+    the search two sigmas too early."""
+    last: list[tuple[Problem, Unknowns, Noise, list[Weights]]] = []
+    search = Problem.gauss_newton
+
+    def watched(
+        self: Problem, state: Unknowns, noise: Noise, weights: list[Weights], tolerance: float
+    ) -> tuple[Unknowns, float, int]:
+        found = search(self, state, noise, weights, tolerance)
+        last[:] = [(self, found[0], noise, weights)]
+        return found
+
+    monkeypatch.setattr(Problem, "gauss_newton", watched)
+    drive = simulated(replace(TRUE_NOISE, stamp=0.4), 0)
+    fit(ScheduledIcr.nominal(P3AT), [drive], [increment_windows(drive)])
+    ((problem, state, noise, weights),) = last
+    H, scores, _ = problem.information(state, noise, weights)
+    free, x = problem.free, state.x[problem.free]
+    prior = 1.0 / problem.prior[free] ** 2
+    gradient = scores.sum(axis=0) - prior * (x - problem.start.x[free])
+    low, high = problem.limits[free].T
+    inside = ~((x <= low) & (gradient < 0.0)) & ~((x >= high) & (gradient > 0.0))
+    covariance = np.linalg.inv((H + np.diag(prior))[np.ix_(inside, inside)])
+    assert (np.abs(covariance @ gradient[inside]) < 0.01 * np.sqrt(np.diag(covariance))).all()

@@ -1,50 +1,20 @@
-import functools
 from dataclasses import astuple, fields, replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skidsteer.drive import Drive, Series
-from skidsteer.models import Differential, Icr
-from skidsteer.noise import BOUNDS, Noise, Residuals, Weights, deviance, fit_noise, residuals, reweigh
-from skidsteer.se2 import FloatArray, between, compose
-from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
-from skidsteer.vehicle import preset
-from skidsteer.windows import Sees, Timing, Windows, increment_windows, predict, steps
-
-P3AT = preset("pioneer-p3at")
-TRUTH = Icr(0.2553, -0.3071, -0.0120, 0.9271, 0.9049)
-LAG = Timing(0.0, 0.08)
-TRUE_NOISE = Noise(position=0.01, yaw=0.009, stamp=0.02, walk=0.02, turn=0.03)
-
-
-def simulated(noise: Noise, seed: int) -> Drive:
-    """Four minutes of straights, turns and stops, at 5 Hz."""
-    rows = [[2.0, 0.0, 0.0], [8.0, 0.5, 0.0], [6.0, 0.0, 0.8], [8.0, 0.5, 0.3], [8.0, 0.6, -0.3], [6.0, -0.4, 0.0]]
-    rims = rims_from_manoeuvres(np.array([*rows, [6.0, 0.0, -0.8], *rows[::-1]] * 3), Differential(P3AT.track_width))
-    sensors = Sensors(5.0, noise.position, noise.yaw, noise.stamp)
-    return kinematic_drive("d", P3AT, TRUTH, rims, sensors, LAG.lag, (noise.walk, noise.turn), seed)
-
-
-def residuals_of(drive: Drive) -> Residuals:
-    windows = increment_windows(drive)
-    cut = steps(drive.wheels, windows, LAG)
-    return residuals(TRUTH, windows, cut, predict(TRUTH, drive.wheels, windows, LAG))
-
-
-@functools.cache
-def true_residuals(seed: int) -> Residuals:
-    return residuals_of(simulated(TRUE_NOISE, seed))
+from noisy_drives import TRUE_NOISE, TRUTH, ones, residuals_of, simulated, true_residuals
+from skidsteer.drive import Series
+from skidsteer.models import Icr
+from skidsteer.noise import BOUNDS, Noise, Residuals, Weights, deviance, fit_noise, residuals
+from skidsteer.se2 import FloatArray
+from skidsteer.windows import Sees, Timing, Windows, steps
 
 
 def ratios(noise: Noise) -> FloatArray:
     """Over the truth, of all but the gyro's."""
     return np.array(astuple(noise)[:5]) / astuple(TRUE_NOISE)[:5]
-
-
-def ones(part: Residuals) -> Weights:
-    return Weights.ones(len(part.residual))
 
 
 # Noise and covariances
@@ -228,92 +198,3 @@ def test_fit_noise_takes_the_middle_of_a_long_drive() -> None:
     wrong[: count // 2 - 300] = wrong[count // 2 + 300 :] = 0.7
     found = fit_noise([replace(part, residual=wrong)], Noise(), [ones(part)], most=500)
     assert_allclose(ratios(found), 1.0, atol=0.35)
-
-
-# Outliers
-
-
-def spoiled(change: FloatArray, first: int, last: int, globally: bool = False) -> Residuals:
-    """Residuals of a drive whose reference poses first..last - 1 are wrong by a motion."""
-    drive = simulated(TRUE_NOISE, 7)
-    assert drive.pose is not None
-    values = drive.pose.values.copy()
-    values[first:last] = compose(change, values[first:last]) if globally else compose(values[first:last], change)
-    return residuals_of(replace(drive, pose=Series(drive.pose.t, values)))
-
-
-@pytest.mark.parametrize("change", [[0.4, 0.0, 0.0], [0.0, -0.4, 0.0], [0.0, 0.0, 0.4], [0.3, 0.3, -0.3]])
-def test_a_single_wrong_pose_is_an_outlier_of_the_pose(change: list[float]) -> None:
-    weights = reweigh([spoiled(np.array(change), 300, 301)], TRUE_NOISE)[0]
-    assert weights.end[299] < 0.05  # window 299 ends with pose 300
-    # its neighbours share the blame a little; nothing else does, and nothing as much
-    far = np.abs(np.arange(len(weights.end)) - 299) > 4
-    assert (weights.end[far] > 0.5).all()
-    assert (weights.motion[far] > 0.5).all()
-    assert np.delete(weights.end, 299).min() > 3.0 * weights.end[299]
-    assert weights.motion.min() > 3.0 * weights.end[299]
-    assert (weights.start == 1.0).all()
-
-
-@pytest.mark.parametrize("change", [[0.8, 0.0, 0.0], [0.0, -0.8, 0.0], [0.1, 0.1, 0.1]])
-def test_a_jump_of_the_reference_is_an_outlier_of_the_motion(change: list[float]) -> None:
-    weights = reweigh([spoiled(np.array(change), 301, 10**6, globally=True)], TRUE_NOISE)[0]
-    assert weights.motion[300] < 0.1  # window 300 leads from pose 300 to pose 301
-    assert np.argmin(weights.motion) == 300
-    assert weights.end.min() > weights.motion[300]
-    far = np.abs(np.arange(len(weights.motion)) - 300) > 20
-    assert (weights.motion[far] > 0.5).all()
-    assert (weights.end[far] > 0.5).all()
-
-
-def test_a_wrong_first_pose_is_found() -> None:
-    weights = reweigh([spoiled(np.array([0.4, 0.0, 0.0]), 0, 1)], TRUE_NOISE)[0]
-    assert weights.start[0] < 0.05
-    assert (weights.start[1:] == 1.0).all()
-    assert (weights.end > 0.5).all()
-
-
-def test_noise_alone_is_hardly_ever_an_outlier() -> None:
-    """By chance one pose in a thousand; none by much."""
-    parts = [true_residuals(seed) for seed in range(5)]
-    for part, weights in zip(parts, reweigh(parts, TRUE_NOISE), strict=True):
-        assert len(weights.end) == len(part.residual)
-        for share in (weights.start, weights.end, weights.motion):
-            assert ((share > 0.0) & (share <= 1.0)).all()
-            assert (share < 1.0).mean() < 0.004
-            assert (share > 0.5).all()
-
-
-def test_weights_fall_with_the_squared_distance() -> None:
-    shares = [reweigh([spoiled(np.array([d, 0.0, 0.0]), 300, 301)], TRUE_NOISE)[0].end[299] for d in (0.4, 0.8)]
-    assert shares[0] / shares[1] == pytest.approx(4.0, rel=0.2)
-
-
-def slipping(step: FloatArray, first: int, last: int) -> Residuals:
-    """Residuals of a drive whose body moves by ``step`` beside what the wheels say, in each of a run of motions."""
-    drive = simulated(TRUE_NOISE, 7)
-    assert drive.pose is not None
-    values = drive.pose.values.copy()
-    for i in range(first, last):
-        after = compose(compose(values[i], step), between(values[i], values[i + 1 :]))
-        values[i + 1 :] = after
-    return residuals_of(replace(drive, pose=Series(drive.pose.t, values)))
-
-
-@pytest.mark.parametrize("step", [[0.0, 0.0, 0.05], [0.03, 0.0, -0.03], [0.03, -0.03, 0.0]])
-def test_an_episode_of_slip_is_found_by_its_sum(step: list[float]) -> None:
-    """A side that spins for 3 s: no motion is odd by itself, all of them together are."""
-    part, first, last = slipping(np.array(step), 300, 315), 300, 315
-    weights = reweigh([part], TRUE_NOISE)[0]
-    assert np.median(weights.motion[first:last]) < 0.5
-    assert (weights.motion < 0.7).sum() <= 2 * (last - first)
-    quiet = replace(part, windows=replace(part.windows, joined=np.zeros(len(part.residual), bool)))
-    alone = reweigh([quiet], TRUE_NOISE)[0]  # each motion for itself
-    assert np.median(alone.motion[first:last]) == 1.0
-
-
-def test_errors_that_all_episodes_share_make_none_odd() -> None:
-    """A model that is wrong everywhere is no reason to leave out what drives most."""
-    part = slipping(np.array([0.0, 0.0, 0.02]), 0, 1229)
-    weights = reweigh([part], fit_noise([part], TRUE_NOISE, [ones(part)]))[0]
-    assert (weights.motion < 1.0).mean() < 0.03  # 0.08 if each were held against the noise alone

@@ -8,7 +8,6 @@ from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from skidsteer.drive import Series
 from skidsteer.kernels import chain, roll
@@ -198,80 +197,3 @@ def _middle(part: Residuals, weights: Weights, most: int) -> tuple[Residuals, We
     arrays = (part.residual, part.paths, part.start_twist, part.end_twist, part.gyro, part.gyro_time)
     kept = Residuals(part.windows.where(keep), *(a[keep] for a in arrays))
     return kept, Weights(weights.start[keep], weights.end[keep], weights.motion[keep])
-
-
-OUTLIER = 16.27  # squared distance in three dimensions that one sample in a thousand exceeds
-
-
-def smoothed(part: Residuals, noise: Noise, weights: Weights) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Most probable errors (k, 3) of start poses, end poses and motions of one drive, see ``kernels.chain.smooth``."""
-    process, noise_start, noise_end = part.covariances(noise, weights)
-    known = (part.windows.motion, part.windows.joined, part.residual)
-    gyro = (part.gyro, noise.gyro**2 * part.gyro_time)
-    start, end, moved = chain.smooth(*known, process, noise_start, noise_end, *gyro)
-    return start, end, moved
-
-
-def reweigh(parts: list[Residuals], noise: Noise) -> list[Weights]:
-    """Weights from the most probable errors: 1 for all that the noise explains, falling as 1 / distance^2 beyond.
-
-    Smoothing tells a wrong pose (both motions beside it disagree with the wheels, their sum agrees) from a wrong motion
-    (a jump of the reference): each is weighed down where it happened. An episode (a spinning side) then shows in the
-    sum of its motions, none of which need be out of the ordinary.
-    """
-    out = []
-    for part in parts:
-        single = _single(part, noise)
-        episode = _episodes(part.windows)
-        process = part.covariances(noise, single)[0]
-        distance = _episode_distances(smoothed(part, noise, single)[2], process, episode)
-        slipped = _kept(distance, ODD)[episode]
-        out.append(Weights(single.start, single.end, np.minimum(single.motion, slipped)))
-    return out
-
-
-def _single(part: Residuals, noise: Noise) -> Weights:
-    """Weights of poses and motions that are wrong each by itself."""
-    ones = Weights.ones(len(part.residual))
-    process, noise_start, noise_end = part.covariances(noise, ones)
-    start, end, moved = smoothed(part, noise, ones)
-    distances = (
-        np.einsum("ki,kij,kj->k", start, np.linalg.inv(noise_start), start),
-        np.einsum("ki,kij,kj->k", end, np.linalg.inv(noise_end), end),
-        _shares(moved, process).sum(axis=1),
-    )
-    return Weights(*(_kept(d, OUTLIER) for d in distances))
-
-
-ODD = 11.34  # squared distance in three dimensions that one episode in a hundred exceeds
-EPISODE = 2.0  # [s] about what a spinning side or a patch of slippery ground lasts
-
-
-def _kept(distance: FloatArray, limit: float) -> FloatArray:
-    return np.asarray(limit / np.maximum(distance, limit))
-
-
-def _shares(error: FloatArray, variance: FloatArray) -> FloatArray:
-    """error^2 / variance; 0 at rest, where both are 0."""
-    return np.divide(error**2, variance, out=np.zeros_like(error), where=variance > 0.0)
-
-
-def _episodes(windows: Windows) -> np.ndarray:
-    """Number (k,) of the stretch of at most ``EPISODE`` s that each window lies in; chains do not share one."""
-    new = ~windows.joined
-    begin = windows.start[new][np.cumsum(new) - 1]
-    part = (windows.start - begin) // EPISODE
-    return np.asarray(np.cumsum(new | (np.diff(part, prepend=0.0) != 0.0)) - 1)
-
-
-def _episode_distances(moved: FloatArray, process: FloatArray, episode: np.ndarray) -> FloatArray:
-    """Squared distance of each episode's summed errors from none, against the middle one of all episodes.
-
-    Errors that last add up to more than a random walk; what all episodes have in common makes none of them odd.
-    """
-    total, variance = (
-        np.stack([np.bincount(episode, a).astype(float) for a in of.T], axis=1) for of in (moved, process)
-    )
-    shares = _shares(total, variance)
-    usual = [np.median(s[v > 0.0]) if (v > 0.0).any() else 0.0 for s, v in zip(shares.T, variance.T, strict=True)]
-    return np.asarray((shares / np.maximum(np.array(usual) / chi2.median(1), 1.0)).sum(axis=1))

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import gammaln
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
+from skidsteer import student
 from skidsteer.drive import Series
 from skidsteer.models import Model
 from skidsteer.noise import Noise, paths_of, residuals
@@ -205,9 +205,8 @@ def fit_turning(found: Distances) -> float:
 
     def cost(x: FloatArray) -> float:
         scale, dof, turning = np.exp(x)
-        squared = found.allowing(turning) / (scale * dof)
-        each = 0.5 * (dof + 3.0) * np.log1p(squared) + 0.5 * np.log1p(turning**2 * found.information)
-        return float(each.sum() - len(each) * (gammaln(0.5 * dof + 1.5) - gammaln(0.5 * dof) - 1.5 * x[:2].sum()))
+        wider = float(np.log1p(turning**2 * found.information).sum())
+        return student.deviance(found.allowing(turning), scale, dof) + wider
 
     def best(low: float, high: float, start: float) -> tuple[float, float]:
         limits = np.log([(1e-2, 1e3), (DOFS[0], DOFS[-1]), (low, high)])
@@ -216,4 +215,4 @@ def fit_turning(found: Distances) -> float:
         return float(least.fun), float(np.exp(least.x[2]))
 
     (without, _), (freed, turning) = best(NO_TURNING, NO_TURNING, NO_TURNING), best(NO_TURNING, MOST_TURNING, 0.03)
-    return float(f"{turning:.3g}") if 2.0 * (without - freed) > chi2.ppf(0.9, 1) else 0.0
+    return float(f"{turning:.3g}") if without - freed > chi2.ppf(0.9, 1) else 0.0

@@ -20,7 +20,8 @@ from skidsteer.identify.problem import Problem
 from skidsteer.identify.start import FitOptions, find_offset, first_guess, with_headings
 from skidsteer.identify.unknowns import Unknowns
 from skidsteer.models import Model
-from skidsteer.noise import EPISODE, Noise, Weights
+from skidsteer.noise import Noise, Weights
+from skidsteer.outliers import EPISODE
 from skidsteer.prediction import Uncertainty
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount, Timing, Windows
@@ -106,8 +107,26 @@ def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitO
             break
         noise, weights = problem.reweighed(state, noise, weights)
         problem = problem.headed(state, noise, weights)
-    state, _, used = problem.gauss_newton(state, noise, weights, options.tolerance)
+    state, told, used = _tempered(problem, state, noise) if options.robust else (state, weights, 0)
+    count += used
+    state, _, used = problem.gauss_newton(state, noise, told, options.tolerance)
     return _result(problem, state, noise, weights, count + used, used < options.iterations)
+
+
+def _tempered(problem: Problem, state: Unknowns, noise: Noise) -> tuple[Unknowns, list[Weights], int]:
+    """State by the weights of ``outliers.temper``, those weights, and the steps taken.
+
+    They are of the estimate alone: noise and covariance stay those of errors without heavy tails, which hold a little
+    more than they claim.
+    """
+    count, told = 0, problem.tempered(state, noise)
+    for _ in range(problem.options.rounds):
+        state, moved, used = problem.gauss_newton(state, noise, told, ROUGH)
+        count += used
+        if moved < 2.0 * ROUGH:
+            break
+        told = problem.tempered(state, noise)
+    return state, told, count
 
 
 SUPPORTED = 1.5  # [sigma] that an optional parameter must differ from nothing by

@@ -13,12 +13,14 @@ from skidsteer.heading import correct_headings, headings_of
 from skidsteer.identify.start import FitOptions
 from skidsteer.identify.unknowns import Unknowns
 from skidsteer.kernels import chain
-from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals, reweigh, smoothed
+from skidsteer.noise import Noise, Residuals, Weights, fit_noise, residuals
+from skidsteer.outliers import reweigh, smoothed, temper
 from skidsteer.se2 import FloatArray
 from skidsteer.windows import Mount, Timing, Windows, covered, linearize, seen_by, steps
 
 RESTRICTED = 1500  # windows up to which the noise is estimated by restricted likelihood
 Compared = tuple[Residuals, FloatArray, FloatArray]  # residuals of a drive, derivatives of its motions and of its gyro
+Covariances = tuple[FloatArray, FloatArray, FloatArray]  # of the motions of a drive, their start and end poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,13 +80,14 @@ class Problem:
         self, state: Unknowns, noise: Noise, weights: list[Weights]
     ) -> tuple[FloatArray, FloatArray, float]:
         """Gauss-Newton matrix (f, f), scores (blocks, f) and deviance at a state, of the free unknowns; no prior."""
-        return self._information(state, self._compared(state), noise, weights)
+        compared = self._compared(state)
+        return self._information(state, compared, noise, _covariances(compared, noise, weights))
 
     def _compared(self, state: Unknowns) -> list[Compared]:
         return [self.compare(state, i) for i in range(len(self.drives))]
 
     def _information(
-        self, state: Unknowns, compared: list[Compared], noise: Noise, weights: list[Weights]
+        self, state: Unknowns, compared: list[Compared], noise: Noise, covariances: list[Covariances]
     ) -> tuple[FloatArray, FloatArray, float]:
         rank = np.cumsum(self.free) - 1
         size = int(self.free.sum())
@@ -96,7 +99,7 @@ class Problem:
                 windows.joined,
                 part.residual,
                 jacobian,
-                *part.covariances(noise, weights[i]),
+                *covariances[i],
                 part.gyro,
                 by_gyro,
                 noise.gyro**2 * part.gyro_time,
@@ -139,10 +142,16 @@ class Problem:
     def gauss_newton(
         self, state: Unknowns, noise: Noise, weights: list[Weights], tolerance: float
     ) -> tuple[Unknowns, float, int]:
-        """Levenberg-Marquardt for fixed noise and weights; returns the state, how far it moved in sigmas, the steps."""
+        """Levenberg-Marquardt for fixed noise and weights; returns the state, how far it moved in sigmas, the steps.
+
+        The covariances stay what they are where it begins: those of late poses and of motions depend on the model, and
+        steps that know nothing of that end where the likelihood, of which it is a part, does not let them on.
+        """
         free, weight = self.free, 1.0 / self.prior[self.free] ** 2
         begin, origin, damping = state.x[free], self.start.x[free], 1e-6
-        H, scores, deviance = self.information(state, noise, weights)
+        compared = self._compared(state)
+        covariances = _covariances(compared, noise, weights)
+        H, scores, deviance = self._information(state, compared, noise, covariances)
         cost = deviance + weight @ (begin - origin) ** 2
         steps_done = 0
         while steps_done < self.options.iterations:
@@ -153,7 +162,7 @@ class Problem:
             x[free] = np.clip(state.x[free] + step, *self.limits[free].T)
             small = bool((np.abs(x - state.x)[free] * np.sqrt(np.diag(H) + weight) < tolerance).all())
             trial = state.at(x)
-            H_new, scores_new, deviance_new = self.information(trial, noise, weights)
+            H_new, scores_new, deviance_new = self._information(trial, self._compared(trial), noise, covariances)
             cost_new = deviance_new + weight @ (x[free] - origin) ** 2
             if cost_new <= cost + 1e-9 * abs(cost):
                 state, H, scores, cost = trial, H_new, scores_new, cost_new
@@ -186,6 +195,10 @@ class Problem:
                 noise = fit_noise(parts, noise, weights, self._restricted(state, compared, weights))
         return noise, weights
 
+    def tempered(self, state: Unknowns, noise: Noise) -> list[Weights]:
+        """Weights of ``outliers.temper`` for the residuals at a state."""
+        return temper([part for part, _, _ in self._compared(state)], noise)
+
     def _restricted(
         self, state: Unknowns, compared: list[Compared], weights: list[Weights]
     ) -> Callable[[Noise], float] | None:
@@ -198,7 +211,7 @@ class Problem:
         prior = np.diag(1.0 / self.prior[self.free] ** 2)
 
         def deviance(noise: Noise) -> float:
-            H, _, total = self._information(state, compared, noise, weights)
+            H, _, total = self._information(state, compared, noise, _covariances(compared, noise, weights))
             return total + float(np.linalg.slogdet(H + prior)[1])
 
         return deviance
@@ -220,6 +233,10 @@ NOTHING = -1  # column of a derivative that is zero
 def _seen(mount: Mount, motion: FloatArray, jacobian: FloatArray, free: bool) -> tuple[FloatArray, FloatArray]:
     """Motions and derivatives as the reference's sensor sees them; as they are where it sits at the origin."""
     return seen_by(mount, motion, jacobian) if free or mount != Mount() else (motion, jacobian)
+
+
+def _covariances(compared: list[Compared], noise: Noise, weights: list[Weights]) -> list[Covariances]:
+    return [part.covariances(noise, known) for (part, _, _), known in zip(compared, weights, strict=True)]
 
 
 def _blocks(windows: Windows, length: float) -> tuple[np.ndarray, int]:
