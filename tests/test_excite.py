@@ -11,7 +11,7 @@ from skidsteer.calibration import Calibration, Estimate, Provenance
 from skidsteer.drive import Series
 from skidsteer.errors import RequestError
 from skidsteer.identify.design import Design, Request, design_drive, make_request, setup_of
-from skidsteer.identify.excite import Setup, best_mix, choose
+from skidsteer.identify.excite import POWER, Setup, best_mix, choose
 from skidsteer.identify.excursion import (
     excursion,
     expected_icr_distance,
@@ -176,16 +176,18 @@ def random_rates(count: int, size: int, seed: int) -> FloatArray:
     return np.einsum("nki,nkj->nij", rows, rows)
 
 
-def worst_share(times: FloatArray, rates: FloatArray, prior: FloatArray, wanted: FloatArray) -> float:
+def lost(times: FloatArray, rates: FloatArray, prior: FloatArray, wanted: FloatArray) -> float:
+    """Nearly the worst share: the norm of the shares that is to be least."""
     C = np.linalg.inv(np.einsum("n,nij->ij", times, rates) + np.diag(prior))
-    return float((np.sqrt(np.diag(C)) / wanted).max())
+    return float(np.linalg.norm(np.sqrt(np.diag(C)) / wanted, 2.0 * POWER))
 
 
 def test_the_best_mix_of_two_figures_by_hand() -> None:
-    """Each tells of one parameter alone: 2 + 3 t and 5 + 4 (10 - t) times the wanted variances are alike."""
+    """Each tells of one parameter alone: squared shares 4 / (2 + 3 t) and 25 / (5 + 4 (10 - t))."""
     rates, prior = np.array([np.diag([3.0, 0.0]), np.diag([0.0, 4.0])]), np.array([2.0, 5.0])
     times = best_mix(rates, 10.0, prior, np.array([0.5, 0.2]))
-    t = ((5.0 + 40.0) * 0.04 - 2.0 * 0.25) / (3.0 * 0.25 + 4.0 * 0.04)
+    ratio = (4.0 * 0.04 / (3.0 * 0.25)) ** (1.0 / (POWER + 1.0))  # of the two where the sum of powers is least
+    t = ((5.0 + 40.0) * 0.04 - 2.0 * 0.25 * ratio) / (3.0 * 0.25 * ratio + 4.0 * 0.04)
     assert_allclose(times, [t, 10.0 - t], rtol=1e-3)
 
 
@@ -196,12 +198,12 @@ def test_no_mix_is_better_than_the_best(seed: int) -> None:
     times = best_mix(rates, 20.0, prior, wanted)
     assert times.sum() == pytest.approx(20.0)
     found = minimize(
-        lambda x: worst_share(20.0 * np.exp(x) / np.exp(x).sum(), rates, prior, wanted),
+        lambda x: lost(20.0 * np.exp(x) / np.exp(x).sum(), rates, prior, wanted),
         np.log(np.maximum(times, 0.01)) + 0.1 * rng.standard_normal(8),
         method="Nelder-Mead",
         options={"maxiter": 4000, "maxfev": 8000, "xatol": 1e-6, "fatol": 1e-9, "adaptive": True},
     )
-    assert worst_share(times, rates, prior, wanted) < 1.01 * found.fun
+    assert lost(times, rates, prior, wanted) < 1.01 * found.fun
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -213,9 +215,9 @@ def test_a_choice_has_few_figures_and_is_nearly_the_best_mix(seed: int) -> None:
     assert all(time >= 0.5 * durations[i] for i, time in chosen.items())
     times = np.zeros(40)
     times[list(chosen)] = list(chosen.values())
-    best = worst_share(best_mix(rates, 60.0, prior, wanted), rates, prior, wanted)
+    best = lost(best_mix(rates, 60.0, prior, wanted), rates, prior, wanted)
     assert len(chosen) <= 10  # p (p + 1) / 2 rows of a matrix (Atkinson, Donev, Tobias 2007, 9.2)
-    assert worst_share(times, rates, prior, wanted) < 1.05 * best
+    assert lost(times, rates, prior, wanted) < 1.05 * best
 
 
 def test_unplanned_drives_are_judged_by_what_they_support() -> None:
@@ -249,7 +251,7 @@ def test_a_parameter_that_no_drive_tells_of_does_not_hide_the_others() -> None:
 def test_a_parameter_that_is_dear_is_not_given_up(designed: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     shares = [designed.sigmas[p.name] / designed.unplanned[p.name] for p in Icr.PARAMETERS]
     assert max(shares) < 0.45
-    assert min(shares) > 0.9 * max(shares)  # none is had at the others' cost
+    assert min(shares) > 0.8 * max(shares)  # nearly alike
     monkeypatch.setattr("skidsteer.identify.excite.CAUTION", 0.0)
     careless = design_drive(setup_of(JACKAL, Icr), LIMITS, SQUARE)
     assert max(careless.sigmas[p.name] / careless.unplanned[p.name] for p in Icr.PARAMETERS) > 1.05 * max(shares)

@@ -22,8 +22,9 @@ from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Timing, Windows, predict
 
-STEPS = 200  # towards the best mix
-CAUTION = 0.1  # exponent that the weights of the parameters follow their shares with
+STEPS = 400  # towards the best mix
+POWER = 7.0  # of squared shares in what is least
+CAUTION = 0.1  # how fast the weights of the parameters follow their shares
 NEGLIGIBLE = 1e-4  # share of the time that is not worth a figure
 LEAST = 0.5  # of a figure that is driven at all
 
@@ -98,8 +99,9 @@ class Setup:
 def best_mix(rates: FloatArray, time: float, prior: FloatArray, wanted: FloatArray) -> FloatArray:
     """How long (n,) [s] to drive each of some figures in a time [s] so that the worst share of ``wanted`` is least.
 
-    The worst squared share is convex in the times; multiplicative steps along its gradient (Silvey, Titterington,
-    Torsney 1978) keep them positive and their sum as it is. Weights of the parameters grow where the share is large.
+    Least is the sum of the squared shares to the power ``POWER``: nearly the worst one alone, but where that cannot be
+    had smaller the others count. It is convex in the times; multiplicative steps along its gradient (Silvey,
+    Titterington, Torsney 1978) keep them positive and their sum as it is.
 
     Args:
         rates: (n, f, f) information a second of each figure.
@@ -108,13 +110,13 @@ def best_mix(rates: FloatArray, time: float, prior: FloatArray, wanted: FloatArr
         wanted: (f,) sigmas; infinite where none is.
     """
     scale = wanted**-2.0
-    times, weights = np.full(len(rates), time / len(rates)), np.full(len(prior), 1.0 / len(prior))
+    times, weights = np.full(len(rates), time / len(rates)), np.where(np.isfinite(wanted), 1.0, 0.0)
     for _ in range(STEPS):
         C = np.linalg.inv(np.tensordot(times, rates, 1) + np.diag(prior))
         times = times * np.sqrt(np.tensordot(rates, C @ np.diag(weights * scale) @ C, 2))
         times *= time / times.sum()
-        weights = weights * (np.diag(C) * scale) ** CAUTION
-        weights /= weights.sum()
+        weights = weights ** (1.0 - CAUTION / (POWER - 1.0)) * (np.diag(C) * scale) ** CAUTION
+        weights /= weights.max()
     return np.asarray(times)
 
 
