@@ -87,6 +87,20 @@ def test_leaps_are_cut_out_of_segments_and_beside_gaps() -> None:
     assert not len(leaps(replace(drive, pose=Series(drive.pose.t, values, "pose"))))
 
 
+@pytest.mark.parametrize("far", [2e3, 5e6, 1e9])
+def test_a_fix_at_zero_among_map_coordinates_is_cut_out(far: float) -> None:
+    """Alone, or two of them in a row: nothing else is lost, and what is left is that of a clean log."""
+    drive = drive_at(np.arange(0.0, 20.0, 0.1))
+    assert drive.pose is not None
+    for wrong in (slice(100, 101), slice(100, 102)):
+        values = drive.pose.values.copy()
+        values[wrong, :2] -= far
+        spoiled = replace(drive, pose=Series(drive.pose.t, values, "pose"))
+        windows, clean = increment_windows(spoiled), increment_windows(drive)
+        assert np.abs(windows.motion).max() < 1.0
+        assert len(clean) - 3 <= len(windows) <= len(clean) - 2
+
+
 def test_a_reference_that_froze_catches_up() -> None:
     drive = drive_at(np.arange(0.0, 20.0, 0.1))
     assert drive.pose is not None

@@ -19,6 +19,7 @@ LEAP, LEAP_TURN = 0.5, np.radians(45.0)  # [m], [rad] steps of a reference that 
 FASTER, SCATTER = 3.0, 0.3  # times the wheels at their fastest, [s] of the stamps: no motion of the robot
 FROZEN, CATCH_UP = 1e-3, 2.0  # [m] a step that is smaller; [s] for which a reference freezes
 RARE = 0.05  # share of the steps
+FAR = 1000.0  # [m] a single wrong sample so far off is cut out: it would spoil all numbers
 LATEST = 1.5  # [s] by which the reference may be late or early
 USUAL = 3.0  # times the median increment: longer ones are gaps
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
@@ -117,8 +118,8 @@ def leaps(drive: Drive) -> FloatArray:
 
     A localization that starts anew, another fix: a step of ``LEAP`` and ``FASTER`` times more than the wheels at their
     fastest about then make in that time, or since the reference last moved, for one that froze catches up; in yaw, more
-    than they turn without slip. Two in a row are one wrong sample, which an estimator weighs down. None is told where
-    they are not rare: a unit is wrong instead.
+    than they turn without slip. Two in a row are one wrong sample, which an estimator weighs down, unless it is ``FAR``
+    off: a fix at (0, 0) among map coordinates. None is told where they are not rare: a unit is wrong instead.
     """
     reference, wheels = drive.reference, drive.wheels
     if reference is None or len(reference) < 2:
@@ -132,8 +133,9 @@ def leaps(drive: Drive) -> FloatArray:
     leap = way[large] > LEAP + FASTER * rolled * speed
     leap |= turn[large] > LEAP_TURN + rolled * spin / drive.vehicle.track_width
     at = large[leap]
-    alone = ~(np.isin(at - 1, at) | np.isin(at + 1, at)) & (len(at) <= RARE * len(step))
-    return np.stack([t[at], t[at + 1]], axis=1)[alone]
+    alone = ~(np.isin(at - 1, at) | np.isin(at + 1, at))
+    cut = (alone | (way[at] > FAR)) & (len(at) <= RARE * len(step))
+    return np.stack([t[at], t[at + 1]], axis=1)[cut]
 
 
 def _fastest(wheels: Series, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
