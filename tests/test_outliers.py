@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from noisy_drives import P3AT, TRUE_NOISE, TRUTH, ones, residuals_of, simulated, slipping, spoiled, true_residuals
 from skidsteer.drive import Drive, Series
@@ -100,14 +101,14 @@ def dragging(seed: int) -> Drive:
 def test_gaussian_episodes_keep_their_weight() -> None:
     parts = [true_residuals(seed) for seed in range(5)]
     for known, tempered in zip(reweigh(parts, TRUE_NOISE), temper(parts, TRUE_NOISE), strict=True):
-        assert np.abs(tempered.motion - known.motion).mean() < 0.1
-        assert (tempered.end == known.end).all()
-        assert (tempered.start == known.start).all()
+        assert_array_equal(tempered.motion, known.motion)
+        assert_array_equal(tempered.end, known.end)
+        assert_array_equal(tempered.start, known.start)
 
 
 def test_few_episodes_do_not_tell_how_heavy_their_tails_are() -> None:
     part = residuals_of(dragging(0))
-    for seconds, told in ((30.0, False), (200.0, True)):
+    for seconds, told in ((30.0, False), (240.0, True)):
         some = part.windows.start < part.windows.start[0] + seconds
         short = replace(
             part,

@@ -21,6 +21,7 @@ from skidsteer.windows import Windows
 OUTLIER = 16.27  # squared distance in three dimensions that one sample in a thousand exceeds
 ODD = 11.34  # squared distance in three dimensions that one episode in a hundred exceeds
 EPISODE = 2.0  # [s] about what a spinning side or a patch of slippery ground lasts
+MANY = 100  # episodes in motion, below which the estimate does not follow those that agree
 
 
 def smoothed(part: Residuals, noise: Noise, weights: Weights) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -47,15 +48,20 @@ def temper(parts: list[Residuals], noise: Noise) -> list[Weights]:
     """Weights by which the estimate follows the many episodes that agree, not the mean of all.
 
     Of real robots the sums of errors over an episode have tails as heavy as a Student t of two to four degrees of
-    freedom: each keeps the weight that this gives it. Where they may be Gaussian, all keep theirs.
+    freedom: each keeps the weight that this gives it. Where they may be Gaussian, or are not ``MANY`` (what agrees then
+    may be what turns hardly show in), weights are those of ``reweigh``.
     """
     singles = [_single(part, noise) for part in parts]
     slips = [_Episodes.of(part, noise, single) for part, single in zip(parts, singles, strict=True)]
     squared = [slip.squared(slip.usual) for slip in slips]
     dimensions = [np.full(len(s), float((slip.usual > 0.0).sum())) for s, slip in zip(squared, slips, strict=True)]
-    all_of_them = np.concatenate(squared)
-    moved = all_of_them > 0.0
-    scale, dof = student.lightest_tails(all_of_them[moved], np.concatenate(dimensions)[moved])
+    every = np.concatenate(squared)
+    moved = every > 0.0
+    if moved.sum() < MANY:
+        return reweigh(parts, noise)
+    scale, dof = student.lightest_tails(every[moved], np.concatenate(dimensions)[moved])
+    if dof >= student.DOFS[1]:
+        return reweigh(parts, noise)
     return [
         Weights(w.start, w.end, w.motion * student.weights(s, scale, dof, d)[slip.number])
         for w, slip, s, d in zip(singles, slips, squared, dimensions, strict=True)

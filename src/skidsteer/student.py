@@ -47,9 +47,10 @@ def lightest_tails(squared: FloatArray, dimensions: FloatArray) -> tuple[float, 
     low, high = np.log(DOFS)
     likeliest = minimize_scalar(lambda x: scaled(x)[0], bounds=(low, high))
     limit = float(likeliest.fun) + chi2.ppf(0.98, 1)
-    if scaled(high)[0] > limit:
-        high = brentq(lambda x: scaled(x)[0] - limit, float(likeliest.x), high, xtol=1e-3)
-    return scaled(high)[1], float(np.exp(high))
+    if scaled(high)[0] <= limit:
+        return scaled(high)[1], DOFS[1]
+    edge = brentq(lambda x: scaled(x)[0] - limit, float(likeliest.x), high, xtol=1e-3)
+    return scaled(edge)[1], float(np.exp(edge))
 
 
 def weights(squared: FloatArray, scale: float, dof: float, dimensions: ArrayLike = 3.0) -> FloatArray:
