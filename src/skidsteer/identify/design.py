@@ -237,8 +237,14 @@ class Candidate:
 def _candidate(setup: Setup, limits: Limits, robots: list[Model], figure: Figure) -> Candidate:
     once, twice = (rims_of(figure.often(count), limits.acceleration, 2.0 * PERIOD) for count in (1, 2))
     reached = excursion(robots, once, setup.timing.lag, None)
-    more = setup.information(twice) - setup.information(once)
+    more = _positive(setup.information(twice) - setup.information(once))
     return Candidate(figure, (len(twice) - len(once)) * PERIOD, reached, more)
+
+
+def _positive(information: FloatArray) -> FloatArray:
+    """The nearest matrix that takes nothing away, as a figure too short to tell anything may seem to."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _fits(candidate: Candidate, room: tuple[float, float]) -> bool:

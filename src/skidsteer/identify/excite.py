@@ -96,6 +96,9 @@ class Setup:
         return Problem([drive], told, [None], state, prior, free, limits, FitOptions()), state
 
 
+TINY = np.finfo(float).tiny
+
+
 def best_mix(rates: FloatArray, time: float, prior: FloatArray, wanted: FloatArray) -> FloatArray:
     """How long (n,) [s] to drive each of some figures in a time [s] so that the worst share of ``wanted`` is least.
 
@@ -113,7 +116,8 @@ def best_mix(rates: FloatArray, time: float, prior: FloatArray, wanted: FloatArr
     times, weights = np.full(len(rates), time / len(rates)), np.where(np.isfinite(wanted), 1.0, 0.0)
     for _ in range(STEPS):
         C = np.linalg.inv(np.tensordot(times, rates, 1) + np.diag(prior))
-        times = times * np.sqrt(np.tensordot(rates, C @ np.diag(weights * scale) @ C, 2))
+        gains = np.tensordot(rates, C @ np.diag(weights * scale) @ C, 2)
+        times = times * np.sqrt(np.maximum(gains, TINY))  # not below nothing by rounding
         times *= time / times.sum()
         weights = weights ** (1.0 - CAUTION / (POWER - 1.0)) * (np.diag(C) * scale) ** CAUTION
         weights /= weights.max()

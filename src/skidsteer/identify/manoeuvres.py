@@ -156,12 +156,17 @@ class Figure:
 
     def filling(self, time: float, acceleration: float) -> list[Figure]:
         """As often as goes into a time [s], each a little shorter or longer so that it is filled."""
-        figures = self.often(max(1, int(np.ceil(time / self.lasts(acceleration) - LONGER))))
-        low, high = 0.0, 1.0 + LONGER
+
+        def lasts(figures: list[Figure], factor: float) -> float:
+            return sum(figure.scaled(factor).lasts(acceleration) for figure in figures)
+
+        count = max(1, int(np.ceil(time / self.lasts(acceleration) - LONGER)))
+        figures, low, high = self.often(count), 0.0, 1.0 + LONGER
+        if lasts(figures, high) < time:  # speeding up takes no longer on a longer way
+            figures = self.often(count + 1)
         for _ in range(HALVINGS):
             factor = 0.5 * (low + high)
-            fits = sum(figure.scaled(factor).lasts(acceleration) for figure in figures) <= time
-            low, high = (factor, high) if fits else (low, factor)
+            low, high = (factor, high) if lasts(figures, factor) <= time else (low, factor)
         return [figure.scaled(low) for figure in figures]
 
     def scaled(self, factor: float) -> Figure:
