@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -12,7 +11,7 @@ import numpy as np
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Series
 from skidsteer.errors import RequestError
-from skidsteer.identify.excite import Setup, best_mix, choose
+from skidsteer.identify.excite import Choice, Setup
 from skidsteer.identify.excursion import (
     Excursion,
     calibrated_models,
@@ -36,13 +35,11 @@ REST = 1.0  # [s] before and after
 ROBOTS = 12  # possible robots that every single figure must fit
 STRETCH = 1.1  # that straights, planned to the very end of the room, may exceed it by
 DRIFT = 0.3  # share of the room that a figure may end away from its start
-TIMING = 4.0  # times the share of the worst-known parameter that lag and time offset may keep
-DRIVERS = 15  # unplanned drives to compare with
-TRIES = 10
-SMALLER = 0.93  # times the part of the area that was too large, at most
-ROUNDS = 3  # of weighing times and seeing what the figures come to
-SHORTEST = 1.0  # [s] of a figure
-LEAST = 0.15  # share of the room to plan in
+ENOUGH = 0.45  # no parameter should keep more than this share of the sigma that an unplanned drive leaves
+ENOUGH_TIMING = 1.5  # the same of lag and time offset
+DRIVERS = 5  # unplanned drives to compare with
+TRIES = 8
+LEAST = 0.15  # share of the area that must be left to plan in once the drift is allowed for
 Progress = Callable[[str, int, int], None]
 
 
@@ -176,21 +173,21 @@ def design_drive(
     )
     _tell(progress, "driving without a plan", 0)
     unplanned = unplanned_sigmas(setup, limits, request)
-    factors = [*[1.0] * len(setup.model.PARAMETERS), TIMING, TIMING]
-    wanted = np.array([factor * unplanned[name] for factor, name in zip(factors, setup.names, strict=True)])
+    shares = [*[ENOUGH] * len(setup.model.PARAMETERS), ENOUGH_TIMING, ENOUGH_TIMING]
+    enough = np.array([share * unplanned[name] for share, name in zip(shares, setup.names, strict=True)])
     look_at = cache(partial(_candidate, setup, limits, robots[:ROBOTS]))
     share = 1.0
     for i in range(TRIES):
         _tell(progress, f"designing within {100 * share:.0f} % of the area", i + 1)
         part = (share * room[0], share * room[1])
         candidates = [c for c in map(look_at, library(setup.model, limits, part[0])) if _fits(c, part)]
-        figures = _chosen(setup, limits.acceleration, candidates, request.time - 2.0 * REST, wanted)
+        figures = _chosen(candidates, request.time - 2.0 * REST, setup.prior, enough)
         rims = rims_of(figures, limits.acceleration, REST)
         reached = excursion(robots, rims, lag, setup.noise, request.seed)
         over = max(reached.x / room[0], reached.y / room[1])
         if over <= 1.0:
             break
-        share = min(share / over, SMALLER * share)
+        share = min(share / over, 0.95 * share)
         if share < LEAST or i == TRIES - 1:
             raise _too_small(request, over)
     _tell(progress, "done", TRIES + 1)
@@ -213,14 +210,11 @@ def _tell(progress: Progress | None, what: str, done: int) -> None:
 
 
 def unplanned_sigmas(setup: Setup, limits: Limits, request: Request) -> dict[str, float]:
-    """What an unplanned drive of the same length would tell: the median of ``DRIVERS``.
-
-    Each by the parameters that it supports: those that a fit would leave out take nothing from the others.
-    """
+    """What an unplanned drive of the same length would tell: the median of ``DRIVERS``."""
     room = request.room(setup.vehicle)
     width = expected_icr_distance(setup.vehicle)
     drives = [unplanned_drive(width, limits, room, request.time, request.seed + i) for i in range(DRIVERS)]
-    found = [setup.supported_sigmas(setup.information(rims)) for rims in drives]
+    found = [setup.sigmas(setup.information(rims)) for rims in drives]
     return {name: float(np.median([sigmas[name] for sigmas in found])) for name in setup.names}
 
 
@@ -235,16 +229,9 @@ class Candidate:
 
 
 def _candidate(setup: Setup, limits: Limits, robots: list[Model], figure: Figure) -> Candidate:
-    once, twice = (rims_of(figure.often(count), limits.acceleration, 2.0 * PERIOD) for count in (1, 2))
-    reached = excursion(robots, once, setup.timing.lag, None)
-    more = _positive(setup.information(twice) - setup.information(once))
-    return Candidate(figure, (len(twice) - len(once)) * PERIOD, reached, more)
-
-
-def _positive(information: FloatArray) -> FloatArray:
-    """The nearest matrix that takes nothing away, as a figure too short to tell anything may seem to."""
-    values, vectors = np.linalg.eigh(information)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    rims = rims_of([figure], limits.acceleration, 2.0 * PERIOD)
+    reached = excursion(robots, rims, setup.timing.lag, None)
+    return Candidate(figure, (len(rims) - 4) * PERIOD, reached, setup.information(rims))
 
 
 def _fits(candidate: Candidate, room: tuple[float, float]) -> bool:
@@ -253,42 +240,15 @@ def _fits(candidate: Candidate, room: tuple[float, float]) -> bool:
     return reached.x <= STRETCH * room[0] and reached.y <= room[1] and reached.end <= DRIFT * min(room)
 
 
-def _chosen(
-    setup: Setup, acceleration: float, candidates: list[Candidate], time: float, wanted: FloatArray
-) -> list[Figure]:
-    """The figures to drive in a time [s], the widest first: then the robot is still where it should be."""
-    widest = sorted(candidates, key=lambda c: (-max(c.reached.x, c.reached.y), -c.duration))
-    widest = [c for c in widest if c.figure.lasts(acceleration) <= time]
-    if not widest:
+def _chosen(candidates: list[Candidate], time: float, prior: FloatArray, enough: FloatArray) -> list[Figure]:
+    """The best figures in a time [s], the widest first: then the robot is still where it should be."""
+    if not candidates or min(c.duration for c in candidates) > time:
         raise RequestError(f"{time:.1f} s are too short for any manoeuvre in this area; give more --minutes")
-    information, durations = np.array([c.information for c in widest]), np.array([c.duration for c in widest])
-    most = time * np.diagonal(information, axis1=1, axis2=2) / durations[:, None]
-    wanted = np.where(most.max(axis=0) > setup.prior, wanted, np.inf)  # what no figure tells of would hide the rest
-    times = choose(information, durations, time, setup.prior, wanted)
-    return _balanced(setup, acceleration, {widest[i].figure: t for i, t in times.items()}, wanted)
-
-
-def _balanced(setup: Setup, acceleration: float, times: dict[Figure, float], wanted: FloatArray) -> list[Figure]:
-    """Figures driven as often and as far as fills their times [s].
-
-    Cut short they tell less a second, made longer more: the times are weighed again by what the figures come to.
-    """
-    time, tried = sum(times.values()), []
-    for _ in range(ROUNDS):
-        parts = [figure.filling(t, acceleration) for figure, t in times.items()]
-        figures = list(itertools.chain(*parts))
-        sigmas = setup.sigmas(setup.information(rims_of(figures, acceleration, REST)))
-        tried.append((float(np.max(np.array(list(sigmas.values())) / wanted)), figures))
-        best = best_mix(np.array([_rate(setup, acceleration, part) for part in parts]), time, setup.prior, wanted)
-        kept = {figure: t for figure, t in zip(times, best.tolist(), strict=True) if t > SHORTEST}
-        times = {figure: t * time / sum(kept.values()) for figure, t in kept.items()}
-    return min(tried, key=lambda row: row[0])[1]
-
-
-def _rate(setup: Setup, acceleration: float, figures: list[Figure]) -> FloatArray:
-    """Information (f, f) a second of figures one after the other."""
-    rims = rims_of(figures, acceleration, 2.0 * PERIOD)
-    return setup.information(rims) / (PERIOD * (len(rims) - 4))
+    information = np.array([c.information for c in candidates])
+    choice = Choice(information, np.array([c.duration for c in candidates]), prior, enough)
+    chosen = [candidates[i] for i in choice.choose(time)]
+    widest = sorted(chosen, key=lambda c: (-max(c.reached.x, c.reached.y), -c.duration))
+    return [c.figure for c in widest]
 
 
 def make_request(

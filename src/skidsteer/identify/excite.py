@@ -1,18 +1,20 @@
-"""Which figures determine a model best: experimental design for the worst-known parameter.
+"""Which figures determine a model best: D-optimal experimental design with the timing marginalised.
 
-The information of a drive about parameters, lag and time offset is the Gauss-Newton matrix that a fit of it ends with
-(``identify.problem``). Figures begin and end at rest, so that their information adds up but for the noisy poses that
-they share, and so that how long to drive each is a convex problem (Atkinson, Donev, Tobias 2007, ch. 9).
+The information of a drive about the parameters theta of a model, with lag and time offset tau as nuisance, is the
+Schur complement of the Gauss-Newton matrix H that a fit of that drive ends with (``identify.problem``):
+log det (H_tt - H_tn H_nn^-1 H_nt) = log det H - log det H_nn, D_s-optimality (Atkinson, Donev, Tobias 2007, 10.3).
+Figures begin and end at rest, so that their information adds up but for the noisy poses that they share.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skidsteer.drive import Drive, Series
-from skidsteer.identify.least_squares import SUPPORTED
 from skidsteer.identify.problem import Problem
 from skidsteer.identify.start import FitOptions
 from skidsteer.identify.unknowns import Unknowns
@@ -22,11 +24,9 @@ from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Timing, Windows, predict
 
-STEPS = 400  # towards the best mix
-POWER = 7.0  # of squared shares in what is least
-CAUTION = 0.1  # how fast the weights of the parameters follow their shares
-NEGLIGIBLE = 1e-4  # share of the time that is not worth a figure
-LEAST = 0.5  # of a figure that is driven at all
+EXCHANGES = 200  # at most: each raises the criterion
+CLOSEST = 3  # figures tried in the place of another
+STRICTNESS = 100.0  # a hundredth of the worst share weighs as much as one of log det
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,25 +62,6 @@ class Setup:
         covariance = np.linalg.inv(information + np.diag(self.prior))
         return dict(zip(self.names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
 
-    def supported_sigmas(self, information: FloatArray) -> dict[str, float]:
-        """The same of a fit that keeps only the optional parameters that the drive supports (``fit_supported``).
-
-        Of those that it leaves out: what they would have if all were kept.
-        """
-        nominal, sigmas, kept = type(self.model).nominal(self.vehicle), self.sigmas(information), list(self.names)
-        while True:
-            strength = {
-                name: abs(getattr(self.model, name) - getattr(nominal, name)) / sigmas[name]
-                for name in self.model.OPTIONAL
-                if name in kept
-            }
-            if not strength or min(strength.values()) >= SUPPORTED:
-                return sigmas
-            kept.remove(min(strength, key=lambda name: strength[name]))
-            index = [self.names.index(name) for name in kept]
-            covariance = np.linalg.inv((information + np.diag(self.prior))[np.ix_(index, index)])
-            sigmas |= dict(zip(kept, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-
     def _problem(self, rims: Series) -> tuple[Problem, Unknowns]:
         """The fit of a noiseless drive with these rim speeds, at its truth."""
         t = np.arange(rims.t[0], rims.t[-1], 1.0 / self.reference_rate) + self.timing.time_offset
@@ -96,53 +77,71 @@ class Setup:
         return Problem([drive], told, [None], state, prior, free, limits, FitOptions()), state
 
 
-TINY = np.finfo(float).tiny
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """Figures to choose from, and what a choice of them is worth."""
+
+    information: FloatArray  # (n, f, f) of each figure
+    durations: FloatArray  # (n,) [s]
+    prior: FloatArray  # (f,) information before the drive
+    enough: FloatArray  # (f,) sigmas: nothing should be left worse known than that
+
+    def worth(self, information: FloatArray) -> FloatArray:
+        """Criterion (...) of information (..., f, f): log det, less ``STRICTNESS`` times what misses ``enough`` most.
+
+        D-optimality alone gives up a parameter that is dear for others that are cheap. So does the sum of what is
+        missing, where two parameters are dear and three are cheap: the worst one alone counts.
+        """
+        H = information + np.diag(self.prior)
+        sigma = np.sqrt(np.diagonal(np.linalg.inv(H), axis1=-2, axis2=-1))
+        missing = np.log(np.maximum(sigma / self.enough, 1.0)).max(axis=-1)
+        return np.asarray(log_det(H) - STRICTNESS * missing)
+
+    def of(self, chosen: Sequence[int]) -> float:
+        """Criterion of figures, each named as often as it is driven."""
+        return float(self.worth(self._total(chosen)))
+
+    def choose(self, time: float) -> list[int]:
+        """The figures to drive in a time [s], by index: greedy, then exchanges as long as they help (Fedorov 1972).
+
+        One figure makes room for another and for what else then fits; where that does not help, two do.
+        """
+        chosen = self._filled([], time)
+        for _ in range(EXCHANGES):
+            found = max((self._exchanged(chosen, time, count) for count in (1, 2)), key=self.of)
+            if self.of(found) <= self.of(chosen) + 1e-9:
+                break
+            chosen = found
+        return chosen
+
+    def _total(self, chosen: Sequence[int]) -> FloatArray:
+        return np.asarray(self.information[list(chosen)].sum(axis=0))
+
+    def _filled(self, chosen: Sequence[int], time: float) -> list[int]:
+        """More figures, as long as one fits, each the one that gains most a second."""
+        chosen, left, H = list(chosen), time - float(self.durations[list(chosen)].sum()), self._total(chosen)
+        while (fits := self.durations <= left).any():
+            gains = np.where(fits, (self.worth(H + self.information) - self.worth(H)) / self.durations, -np.inf)
+            i = int(np.argmax(gains))
+            chosen.append(i)
+            H, left = H + self.information[i], left - float(self.durations[i])
+        return chosen
+
+    def _exchanged(self, chosen: list[int], time: float, count: int) -> list[int]:
+        """The best that follows when ``count`` figures make room for another, and for what else then fits."""
+        options = [chosen]
+        for out in set(itertools.combinations(sorted(chosen), count)):
+            rest = list(chosen)
+            for i in out:
+                rest.remove(i)
+            fits = self.durations <= time - float(self.durations[rest].sum())
+            worth = np.where(fits, self.worth(self._total(rest) + self.information), -np.inf)
+            best = [int(i) for i in np.argsort(worth)[-CLOSEST:] if fits[i] and i not in out]
+            options += [self._filled([*rest, i], time) for i in best]
+        return max(options, key=self.of)
 
 
-def best_mix(rates: FloatArray, time: float, prior: FloatArray, wanted: FloatArray) -> FloatArray:
-    """How long (n,) [s] to drive each of some figures in a time [s] so that the worst share of ``wanted`` is least.
-
-    Least is the sum of the squared shares to the power ``POWER``: nearly the worst one alone, but where that cannot be
-    had smaller the others count. It is convex in the times; multiplicative steps along its gradient (Silvey,
-    Titterington, Torsney 1978) keep them positive and their sum as it is.
-
-    Args:
-        rates: (n, f, f) information a second of each figure.
-        time: [s] of all.
-        prior: (f,) information before the drive.
-        wanted: (f,) sigmas; infinite where none is.
-    """
-    scale = wanted**-2.0
-    times, weights = np.full(len(rates), time / len(rates)), np.where(np.isfinite(wanted), 1.0, 0.0)
-    for _ in range(STEPS):
-        C = np.linalg.inv(np.tensordot(times, rates, 1) + np.diag(prior))
-        gains = np.tensordot(rates, C @ np.diag(weights * scale) @ C, 2)
-        times = times * np.sqrt(np.maximum(gains, TINY))  # not below nothing by rounding
-        times *= time / times.sum()
-        weights = weights ** (1.0 - CAUTION / (POWER - 1.0)) * (np.diag(C) * scale) ** CAUTION
-        weights /= weights.max()
-    return np.asarray(times)
-
-
-def choose(
-    information: FloatArray, durations: FloatArray, time: float, prior: FloatArray, wanted: FloatArray
-) -> dict[int, float]:
-    """The best mix of figures each of which is driven at least half: index and how long [s].
-
-    Of what the best mix has less of, the one that is shortest of a half is left out, until there is none.
-
-    Args:
-        information: (n, f, f) of each figure.
-        durations: (n,) [s] of each, none longer than ``time``.
-        time: [s] of all.
-        prior: (f,) information before the drive.
-        wanted: (f,) sigmas.
-    """
-    rates, left = information / durations[:, None, None], np.arange(len(durations))
-    while True:
-        times = best_mix(rates[left], time, prior, wanted)
-        used = times > NEGLIGIBLE * time
-        parts = np.where(used, times / durations[left], np.inf)
-        if parts.min() >= LEAST:
-            return dict(zip(left[used].tolist(), (times[used] * time / times[used].sum()).tolist(), strict=True))
-        left = np.delete(left, int(np.argmin(parts)))
+def log_det(information: FloatArray) -> FloatArray:
+    """Log det (...) of the information about the parameters in matrices (..., p + 2, p + 2), timing marginalised."""
+    whole, nuisance = np.linalg.slogdet(information)[1], np.linalg.slogdet(information[..., -2:, -2:])[1]
+    return np.asarray(whole - nuisance)

@@ -23,12 +23,11 @@ PERIOD = 0.05  # [s] of the commands
 WALKING = 1.5  # [m/s] the pace of someone who walks beside the robot, a hand at the stop button
 LATERAL = 0.5  # [m/s^2] speed times yaw rate, up to which constant ICRs hold well enough
 LEVELS = (1.0, 0.6, 0.3)  # of the highest speed that a figure allows
+SWINGS = (2, 4, 8)  # to and fro on the fastest straight before the robot stops in the middle again
 # radii of arcs over the expected ICR distance; at 0.5 the inner side rests
 SHARPNESS = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 SWEEPS = (np.pi / 4, np.pi / 2, np.pi, 2 * np.pi, 4 * np.pi)  # [rad] of arcs
-TURNS = (0.5, 1.0, 2.0)  # on the spot
-LONGER = 0.25  # share of a figure that it may be made longer by before it is driven once more
-HALVINGS = 20  # of the interval that the length of a figure is searched in
+TURNS = (1.0, 2.0)  # on the spot
 SETTLED = 20  # steps towards the highest speed that the rims allow
 
 
@@ -96,21 +95,12 @@ class Manoeuvre:
         """The same in reverse: what retraces it."""
         return Manoeuvre(-self.v, -self.omega, (-self.rims[0], -self.rims[1]), self.duration)
 
-    def scaled(self, factor: float) -> Manoeuvre:
-        """The same, ``factor`` times as far."""
-        return replace(self, duration=factor * self.duration)
-
-    def timing(self, acceleration: float) -> tuple[float, float, int]:
-        """Ramp, and all of it with the ramps [s]; how many ``PERIOD`` it takes."""
-        ramp = max(abs(r) for r in self.rims) / acceleration
-        whole = self.duration + ramp if self.duration >= ramp else 2.0 * float(np.sqrt(self.duration * ramp))
-        return ramp, whole, int(np.ceil(whole / PERIOD - 1e-9))
-
     def profile(self, acceleration: float) -> FloatArray:
         """Rim speeds (n, 2) [m/s], one for each ``PERIOD``: the mean of a trapezoid of that slope in it."""
-        ramp, whole, periods = self.timing(acceleration)
+        ramp = max(abs(r) for r in self.rims) / acceleration
+        whole = self.duration + ramp if self.duration >= ramp else 2.0 * np.sqrt(self.duration * ramp)
         edge = min(ramp, 0.5 * whole)  # a short one is a triangle
-        t = PERIOD * np.arange(periods + 1)
+        t = PERIOD * np.arange(int(np.ceil(whole / PERIOD - 1e-9)) + 1)
         rise, fall = np.clip(t, 0.0, edge), np.clip(t - (whole - edge), 0.0, edge)
         flat = np.clip(t - edge, 0.0, whole - 2.0 * edge)
         covered = (rise**2 / 2.0 + edge * flat + edge * fall - fall**2 / 2.0) / ramp  # [s] at full speed
@@ -146,37 +136,6 @@ class Figure:
         """There and back."""
         return cls((*parts, *(part.back() for part in reversed(parts))))
 
-    def often(self, count: int) -> list[Figure]:
-        """Driven again and again; as one, without a stop, where it ends as it begins."""
-        first, last = self.parts[0], self.parts[-1]
-        if first.rims != last.rims:
-            return [self] * count
-        joint = replace(first, duration=first.duration + last.duration)
-        return [Figure((first, *([*self.parts[1:-1], joint] * count)[:-1], last))]
-
-    def filling(self, time: float, acceleration: float) -> list[Figure]:
-        """As often as goes into a time [s], each a little shorter or longer so that it is filled."""
-
-        def lasts(figures: list[Figure], factor: float) -> float:
-            return sum(figure.scaled(factor).lasts(acceleration) for figure in figures)
-
-        count = max(1, int(np.ceil(time / self.lasts(acceleration) - LONGER)))
-        figures, low, high = self.often(count), 0.0, 1.0 + LONGER
-        if lasts(figures, high) < time:  # speeding up takes no longer on a longer way
-            figures = self.often(count + 1)
-        for _ in range(HALVINGS):
-            factor = 0.5 * (low + high)
-            low, high = (factor, high) if lasts(figures, factor) <= time else (low, factor)
-        return [figure.scaled(low) for figure in figures]
-
-    def scaled(self, factor: float) -> Figure:
-        """The same, ``factor`` times as far."""
-        return Figure(tuple(part.scaled(factor) for part in self.parts))
-
-    def lasts(self, acceleration: float) -> float:
-        """[s]."""
-        return PERIOD * sum(part.timing(acceleration)[2] for part in self.parts)
-
     def words(self) -> str:
         """What it is, for people."""
         first = self.parts[0].words()
@@ -208,18 +167,21 @@ def library(model: Model, limits: Limits, reach: float) -> list[Figure]:
     """
     turn = model.wheel_speeds(0.0, 1.0)
     width = float(turn[1] - turn[0])  # ICR distance
-    out = []
+    out = [_shuttle(_held(model, limits, 1.0, 0.0, 1.0, reach), swings) for swings in SWINGS]
     for level in LEVELS:
-        out.append(_shuttle(_held(model, limits, 1.0, 0.0, level, reach)))
-        out += [Figure.retraced(_held(model, limits, 0.0, 1.0, level, 2.0 * np.pi * turns)) for turns in TURNS]
+        out += [_shuttle(_held(model, limits, 1.0, 0.0, level, share * reach), 1) for share in (1.0, 0.5)]
+        for turns in TURNS:
+            sides = (_held(model, limits, 0.0, side, level, 2.0 * np.pi * turns) for side in (1.0, -1.0))
+            out += [Figure.retraced(part) for part in sides]
         for radius in width * np.array(SHARPNESS):
             out += [_both_sides(model, _held(model, limits, radius, 1.0, level, sweep)) for sweep in SWEEPS]
     return [figure for figure in out if all(np.isfinite(part.rims).all() for part in figure.parts)]
 
 
-def _shuttle(run: Manoeuvre) -> Figure:
-    """To the far end, all the way back to the other one, and to the middle again."""
-    return Figure((run, run.scaled(2.0).back(), run))
+def _shuttle(run: Manoeuvre, swings: int) -> Figure:
+    """To the far end, all the way to the other one and back ``swings`` times less a half, and to the middle again."""
+    whole = replace(run, duration=2.0 * run.duration)
+    return Figure((run, *([whole.back(), whole] * swings)[:-1], run))
 
 
 def _both_sides(model: Model, arc: Manoeuvre) -> Figure:
@@ -237,9 +199,6 @@ def _held(model: Model, limits: Limits, v: float, omega: float, level: float, am
     top = min(limits.speed / abs(v) if v else np.inf, limits.omega / abs(omega) if omega else np.inf)
     top = min(top, float(np.sqrt(limits.lateral_acceleration / abs(v * omega)))) if v * omega else top
     for _ in range(SETTLED):  # the rims of some models are not in proportion
-        over = float(np.abs(model.wheel_speeds(top * v, top * omega)).max()) / limits.wheel_speed
-        if over <= 1.0:
-            break
-        top /= over
+        top *= min(1.0, limits.wheel_speed / float(np.abs(model.wheel_speeds(top * v, top * omega)).max()))
     left, right = model.wheel_speeds(level * top * v, level * top * omega)
     return Manoeuvre(level * top * v, level * top * omega, (float(left), float(right)), amount / (level * top))
