@@ -48,8 +48,8 @@ def temper(parts: list[Residuals], noise: Noise) -> list[Weights]:
     """Weights by which the estimate follows the many episodes that agree, not the mean of all.
 
     Of real robots the sums of errors over an episode have tails as heavy as a Student t of two to four degrees of
-    freedom: each keeps the weight that this gives it. Where they may be Gaussian, or are not ``MANY`` (what agrees then
-    may be what turns hardly show in), weights are those of ``reweigh``.
+    freedom: each keeps the weight that this gives it. Where they may be Gaussian, or where there are less than ``MANY``
+    (those that agree may then be those without turns), the weights are those of ``reweigh``.
     """
     singles = [_single(part, noise) for part in parts]
     slips = [_Episodes.of(part, noise, single) for part, single in zip(parts, singles, strict=True)]
@@ -57,10 +57,8 @@ def temper(parts: list[Residuals], noise: Noise) -> list[Weights]:
     dimensions = [np.full(len(s), float((slip.usual > 0.0).sum())) for s, slip in zip(squared, slips, strict=True)]
     every = np.concatenate(squared)
     moved = every > 0.0
-    if moved.sum() < MANY:
-        return reweigh(parts, noise)
     scale, dof = student.lightest_tails(every[moved], np.concatenate(dimensions)[moved])
-    if dof >= student.DOFS[1]:
+    if dof >= student.DOFS[1] or moved.sum() < MANY:
         return reweigh(parts, noise)
     return [
         Weights(w.start, w.end, w.motion * student.weights(s, scale, dof, d)[slip.number])
@@ -87,9 +85,7 @@ class _Episodes:
 
     number: np.ndarray  # (k,) of the episode that each window lies in
     shares: FloatArray  # (n, 3) summed errors, squared, over their variance; 0 at rest
-    usual: (
-        FloatArray  # (3,) the middle one of these, over that of a Gaussian: errors that last add up to more than noise
-    )
+    usual: FloatArray  # (3,) the middle one of these over that of a Gaussian: more where errors last
 
     @classmethod
     def of(cls, part: Residuals, noise: Noise, weights: Weights) -> _Episodes:

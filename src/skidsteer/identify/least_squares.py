@@ -116,8 +116,7 @@ def fit(model: Model, drives: list[Drive], windows: list[Windows], options: FitO
 def _tempered(problem: Problem, state: Unknowns, noise: Noise) -> tuple[Unknowns, list[Weights], int]:
     """State by the weights of ``outliers.temper``, those weights, and the steps taken.
 
-    They are of the estimate alone: noise and covariance stay those of errors without heavy tails, which hold a little
-    more than they claim.
+    They serve the estimate alone: noise and covariance are those of ``outliers.reweigh``.
     """
     count, told = 0, problem.tempered(state, noise)
     for _ in range(problem.options.rounds):
