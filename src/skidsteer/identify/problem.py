@@ -144,8 +144,8 @@ class Problem:
     ) -> tuple[Unknowns, float, int]:
         """Levenberg-Marquardt for fixed noise and weights; returns the state, how far it moved in sigmas, the steps.
 
-        The covariances are held at those of the begin: late poses make them depend on the model, and steps whose gradient
-        knows nothing of that would end where the likelihood counts it.
+        The covariances are held at those of the start: late poses make them depend on the model, and steps whose
+        gradient knows nothing of that would end where the likelihood counts it.
         """
         free, weight = self.free, 1.0 / self.prior[self.free] ** 2
         begin, origin, damping = state.x[free], self.start.x[free], 1e-6
