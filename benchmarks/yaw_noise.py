@@ -14,7 +14,8 @@ from skidsteer.identify.least_squares import fit_supported
 from skidsteer.io.drives import load_drive
 from skidsteer.kernels import roll
 from skidsteer.models import ScheduledIcr
-from skidsteer.noise import Noise, Residuals, Weights, deviance, fit_noise, residuals, reweigh
+from skidsteer.noise import Noise, Residuals, Weights, deviance, fit_noise, residuals
+from skidsteer.outliers import reweigh
 from skidsteer.windows import increment_windows, linearize, steps
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "yaw-noise.md"
