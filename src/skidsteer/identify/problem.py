@@ -20,7 +20,6 @@ from skidsteer.windows import Mount, Timing, Windows, covered, linearize, seen_b
 
 RESTRICTED = 1500  # windows up to which the noise is estimated by restricted likelihood
 Compared = tuple[Residuals, FloatArray, FloatArray]  # residuals of a drive, derivatives of its motions and of its gyro
-Covariances = tuple[FloatArray, FloatArray, FloatArray]  # of the motions of a drive, their start and end poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +53,7 @@ class Problem:
         out[..., known] = by_all[..., source[free][known]]
         turn = np.zeros((k, len(source)))
         turn[:, source != NOTHING] = -by_all[:, 2, source[source != NOTHING]]
+        del jacobian, by_all  # as large as the log
         turned, by_gyro = self._gyro(i, timing, errors, turn)
         part = residuals(state.model, windows, cut, seen, turned)
         return part, out, np.ascontiguousarray(by_gyro[:, free])
@@ -80,14 +80,18 @@ class Problem:
         self, state: Unknowns, noise: Noise, weights: list[Weights]
     ) -> tuple[FloatArray, FloatArray, float]:
         """Gauss-Newton matrix (f, f), scores (blocks, f) and deviance at a state, of the free unknowns; no prior."""
-        compared = self._compared(state)
-        return self._information(state, compared, noise, _covariances(compared, noise, weights))
+        return self._information(state, self._compared(state), noise, weights)
 
     def _compared(self, state: Unknowns) -> list[Compared]:
         return [self.compare(state, i) for i in range(len(self.drives))]
 
     def _information(
-        self, state: Unknowns, compared: list[Compared], noise: Noise, covariances: list[Covariances]
+        self,
+        state: Unknowns,
+        compared: list[Compared],
+        noise: Noise,
+        weights: list[Weights],
+        held: list[Residuals] | None = None,
     ) -> tuple[FloatArray, FloatArray, float]:
         rank = np.cumsum(self.free) - 1
         size = int(self.free.sum())
@@ -99,7 +103,7 @@ class Problem:
                 windows.joined,
                 part.residual,
                 jacobian,
-                *covariances[i],
+                *(held[i] if held else part).covariances(noise, weights[i]),
                 part.gyro,
                 by_gyro,
                 noise.gyro**2 * part.gyro_time,
@@ -150,8 +154,9 @@ class Problem:
         free, weight = self.free, 1.0 / self.prior[self.free] ** 2
         begin, origin, damping = state.x[free], self.start.x[free], 1e-6
         compared = self._compared(state)
-        covariances = _covariances(compared, noise, weights)
-        H, scores, deviance = self._information(state, compared, noise, covariances)
+        held = [replace(part, residual=NONE, gyro=NONE, gyro_time=NONE) for part, _, _ in compared]
+        H, scores, deviance = self._information(state, compared, noise, weights)
+        del compared  # as large as the log
         cost = deviance + weight @ (begin - origin) ** 2
         steps_done = 0
         while steps_done < self.options.iterations:
@@ -162,7 +167,7 @@ class Problem:
             x[free] = np.clip(state.x[free] + step, *self.limits[free].T)
             small = bool((np.abs(x - state.x)[free] * np.sqrt(np.diag(H) + weight) < tolerance).all())
             trial = state.at(x)
-            H_new, scores_new, deviance_new = self._information(trial, self._compared(trial), noise, covariances)
+            H_new, scores_new, deviance_new = self._information(trial, self._compared(trial), noise, weights, held)
             cost_new = deviance_new + weight @ (x[free] - origin) ** 2
             if cost_new <= cost + 1e-9 * abs(cost):
                 state, H, scores, cost = trial, H_new, scores_new, cost_new
@@ -211,7 +216,7 @@ class Problem:
         prior = np.diag(1.0 / self.prior[self.free] ** 2)
 
         def deviance(noise: Noise) -> float:
-            H, _, total = self._information(state, compared, noise, _covariances(compared, noise, weights))
+            H, _, total = self._information(state, compared, noise, weights)
             return total + float(np.linalg.slogdet(H + prior)[1])
 
         return deviance
@@ -228,15 +233,12 @@ class Problem:
 
 
 NOTHING = -1  # column of a derivative that is zero
+NONE = np.zeros(0)
 
 
 def _seen(mount: Mount, motion: FloatArray, jacobian: FloatArray, free: bool) -> tuple[FloatArray, FloatArray]:
     """Motions and derivatives as the reference's sensor sees them; as they are where it sits at the origin."""
     return seen_by(mount, motion, jacobian) if free or mount != Mount() else (motion, jacobian)
-
-
-def _covariances(compared: list[Compared], noise: Noise, weights: list[Weights]) -> list[Covariances]:
-    return [part.covariances(noise, known) for (part, _, _), known in zip(compared, weights, strict=True)]
 
 
 def _blocks(windows: Windows, length: float) -> tuple[np.ndarray, int]:
