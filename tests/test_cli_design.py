@@ -130,6 +130,7 @@ def test_people_get_a_table_in_plain_words(
         (("--area", "10by10"), "write it as 10x10"),
         (("--area", "1x1"), "needs more than 1.2 x 1.2 m"),
         (("--minutes", "0"), "--minutes must be a positive time"),
+        (("--minutes", "1e9"), "of at most 480, got 1e+09"),
         (("--vehicle", "tank"), "no vehicle preset 'tank'; there are"),
         (("--vehicle", "rover-4wd1"), "give --max-speed"),
         (("--max-speed", "9"), "beyond the 2 m/s"),

@@ -40,6 +40,7 @@ ENOUGH_TIMING = 1.5  # the same of lag and time offset
 DRIVERS = 5  # unplanned drives to compare with
 TRIES = 8
 LEAST = 0.15  # share of the area that must be left to plan in once the drift is allowed for
+MOST_LENGTH, MOST_TIME = 1e4, 8.0 * 3600.0  # [m], [s] of a drive
 Progress = Callable[[str, int, int], None]
 
 
@@ -48,7 +49,7 @@ class Request:
     """What is wanted of a drive.
 
     Raises:
-        RequestError: an area or a time that is not positive.
+        RequestError: an area or a time that is not positive, or beyond what anybody drives.
     """
 
     area: tuple[float, float]  # [m] along the first heading and across it; the robot starts in the middle
@@ -57,10 +58,11 @@ class Request:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.area).all() and min(self.area) > 0.0):
-            raise RequestError(f"--area needs two positive lengths in m, as 10x10, got {self.area}")
-        if not (np.isfinite(self.time) and self.time > 0.0):
-            raise RequestError(f"--minutes must be a positive time, got {self.time / 60.0:g}")
+        most = f"of at most {MOST_LENGTH:g} m", f"of at most {MOST_TIME / 60.0:g}"
+        if not all(0.0 < side <= MOST_LENGTH for side in self.area):
+            raise RequestError(f"--area needs two positive lengths in m {most[0]}, as 10x10, got {self.area}")
+        if not 0.0 < self.time <= MOST_TIME:
+            raise RequestError(f"--minutes must be a positive time {most[1]}, got {self.time / 60.0:g}")
         if not (np.isfinite(self.margin) and self.margin >= 0.0):
             raise RequestError(f"--margin must be a length in m, at least 0, got {self.margin:g}")
 
