@@ -107,8 +107,9 @@ def test_gaussian_episodes_keep_their_weight() -> None:
 
 
 def test_few_episodes_do_not_tell_how_heavy_their_tails_are() -> None:
+    """Of two minutes they would prove it, but the estimate does not follow so few; of four it does."""
     part = residuals_of(dragging(0))
-    for seconds, told in ((30.0, False), (240.0, True)):
+    for seconds, followed in ((120.0, False), (240.0, True)):
         some = part.windows.start < part.windows.start[0] + seconds
         short = replace(
             part,
@@ -116,8 +117,8 @@ def test_few_episodes_do_not_tell_how_heavy_their_tails_are() -> None:
             **{name: getattr(part, name)[some] for name in ("residual", "paths", "start_twist", "end_twist", "gyro")},
             gyro_time=part.gyro_time[some],
         )
-        (weights,) = temper([short], TRUE_NOISE)
-        assert (np.ptp(weights.motion) > 0.9) == told
+        (known,), (weights,) = reweigh([short], TRUE_NOISE), temper([short], TRUE_NOISE)
+        assert (weights.motion != known.motion).any() == followed
 
 
 def test_the_estimate_follows_the_episodes_that_agree(monkeypatch: pytest.MonkeyPatch) -> None:
