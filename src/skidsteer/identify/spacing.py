@@ -15,35 +15,33 @@ log = logging.getLogger(__name__)
 
 CANDIDATES = (0.5, 1.0, 2.0, 4.0)  # [s]
 COVER = 0.8  # share of the time at full rate that windows of a spacing must still cover
-GAIN = 0.1  # a wider spacing must lower the mean log sigma by this much
 
 
 def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
-    """Least spacing [s] of reference poses for ``increment_windows``; 0: all of them.
+    """Spacing [s] of reference poses for ``increment_windows``; 0: all of them.
 
     With the right model of the noise every pose helps. Where a fit on all of them finds that errors last longer than
     that model explains (``Fit.inflated``: speeds that were commanded, not measured; slip that builds up), short
-    increments mostly repeat each other's error. The spacing is then the one whose estimate is most certain by its own
-    block sandwich covariance, the honest one.
+    increments mostly repeat each other's error. Of the spacings at which the model does explain the errors, the one
+    that leaves the estimate most certain is taken; where it nowhere does, the most certain of all, by the block
+    sandwich covariance.
     """
     full = [increment_windows(drive) for drive in drives]
     family: type[Model] = SymmetricIcr if options.mount is None else Icr
     if all(drive.reference is None for drive in drives):
         family = Multiplier
     start = family.nominal(drives[0].vehicle)
-    found = fit(start, drives, full, options)
-    if found.inflated <= 1.0:
+    found = {0.0: fit(start, drives, full, options)}
+    if found[0.0].inflated <= 1.0:
         return 0.0
-    best, best_spread = 0.0, _spread(found)
     for spacing in CANDIDATES:
         windows = [increment_windows(drive, spacing) for drive in drives]
         if _time(windows) < COVER * _time(full):
             break
-        spread = _spread(fit(start, drives, windows, options))
-        log.debug("spacing %.2f s: mean log sigma %.3f", spacing, spread)
-        if spread < best_spread - GAIN:
-            best, best_spread = spacing, spread
-    return best
+        found[spacing] = fit(start, drives, windows, options)
+        log.debug("spacing %g s: inflated %.2f, spread %.3f", spacing, found[spacing].inflated, _spread(found[spacing]))
+    explained = {spacing: f for spacing, f in found.items() if f.inflated <= 1.0} or found
+    return min(explained, key=lambda spacing: _spread(explained[spacing]))
 
 
 def _time(windows: list[Windows]) -> float:
