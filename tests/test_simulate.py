@@ -11,7 +11,7 @@ from skidsteer.errors import RequestError
 from skidsteer.models import Differential, Icr
 from skidsteer.samples import P3AT_LAG, P3AT_SENSORS, P3AT_TRUTH, SAMPLES, p3at_mandow, sample
 from skidsteer.se2 import FloatArray, between, wrap
-from skidsteer.simulate import Sensors, kinematic_drive, matching_noise, rims_from_manoeuvres
+from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import preset
 
 P3AT = preset("pioneer-p3at")
@@ -159,14 +159,6 @@ def test_rims_of_durations_that_round_up(seconds: float) -> None:
     rims = rims_from_manoeuvres(np.array([[seconds, 0.3, 0.0]]), Differential(0.4), rate=30.0)
     assert rims.t[-1] == pytest.approx(seconds, abs=0.04)
     assert_allclose(rims.values[-1], 0.3)
-
-
-def test_matching_noise_is_that_of_the_simulation() -> None:
-    sensors = Sensors(position_sigma=0.02, yaw_sigma=0.01, stamp_sigma=0.03)
-    noise = matching_noise(sensors, (0.04, 0.05))
-    assert [noise.position, noise.yaw, noise.stamp, noise.walk, noise.turn] == [0.02, 0.01, 0.03, 0.04, 0.05]
-    least = matching_noise(Sensors(position_sigma=0.0, yaw_sigma=0.0), (0.0, 0.0))
-    assert max(least.position, least.yaw, least.stamp, least.walk, least.turn) < 1e-4
 
 
 # The sample

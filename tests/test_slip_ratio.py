@@ -14,7 +14,7 @@ from skidsteer.models.slip_ratio import (
     rims_on_circle,
     slip_coefficient,
     slip_ratio,
-    slip_ratio_of,
+    slip_ratio_from_slips,
     turn_radius,
 )
 
@@ -35,7 +35,7 @@ def test_slip_by_hand() -> None:
     # inner dragged to 0.45 from 0.3 m/s, outer spins: 0.9 of 1.2 m/s
     assert float(slip_coefficient(0.3, 0.45)) == pytest.approx(-0.5)
     assert float(slip_coefficient(1.2, 0.9)) == pytest.approx(0.25)
-    assert float(slip_ratio_of(-0.5, 0.25)) == pytest.approx(2.0)
+    assert float(slip_ratio_from_slips(-0.5, 0.25)) == pytest.approx(2.0)
 
 
 def test_arc_by_hand() -> None:
@@ -72,7 +72,7 @@ def test_coefficients_give_the_ratio_of_the_radius(inner: float, factor: float, 
     slips = run.slip_coefficients(B)
     assert slips is not None
     assert slips[0] is not None
-    assert_allclose(slip_ratio_of(slips[0], slips[1]), run.slip_ratio(B), rtol=1e-9)
+    assert_allclose(slip_ratio_from_slips(slips[0], slips[1]), run.slip_ratio(B), rtol=1e-9)
 
 
 @given(radii, st.floats(1e-3, np.pi))
@@ -194,7 +194,7 @@ def test_functions_refuse_by_name() -> None:
     with pytest.raises(ValueError, match="need a rim speed other than 0"):
         slip_coefficient([0.5, 0.0], 0.3)
     with pytest.raises(ValueError, match="need a slip_outer other than 1"):
-        slip_ratio_of(0.5, 1.0)
+        slip_ratio_from_slips(0.5, 1.0)
     with pytest.raises(ValueError, match="need finite radii above half the track width"):
         rims_on_circle(0.1, 0.5, 2.0, B)
     with pytest.raises(ValueError, match=r"need slip_ratio > 0 and slip_outer < 1, got 2\.0, 1\.0"):

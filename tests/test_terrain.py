@@ -33,7 +33,8 @@ from skidsteer.io.calibration_file import calibration_text, load_calibration, sa
 from skidsteer.io.folder import write_folder
 from skidsteer.metrics import window_errors
 from skidsteer.models import Differential, Icr, Multiplier
-from skidsteer.simulate import Sensors, kinematic_drive, matching_noise, rims_from_manoeuvres
+from skidsteer.noise import Noise
+from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
 from skidsteer.vehicle import preset
 from skidsteer.windows import Timing, increment_windows
 
@@ -42,7 +43,7 @@ ASPHALT = Icr(0.26, -0.31, -0.03, 0.93, 0.91)
 GRASS = Icr(0.34, -0.38, -0.02, 0.90, 0.88)
 SENSORS = Sensors(position_sigma=0.01, yaw_sigma=float(np.radians(0.5)), reference_delay=0.15)
 NOISE = (0.004, 0.008)
-KNOWN = FitOptions(noise=matching_noise(SENSORS, NOISE), robust=False)  # quick
+KNOWN = FitOptions(noise=Noise(SENSORS.position_sigma, SENSORS.yaw_sigma, 1e-5, *NOISE), robust=False)  # quick
 
 
 def driven(truth: Icr, seed: int, legs: int = 16, name: str = "drive") -> Drive:

@@ -60,13 +60,6 @@ def from_model(model: SymmetricIcr, wheel_radius: float = WHEEL_RADIUS) -> P3at:
     return P3at(ticks, revcount(model.icr_y, ticks))
 
 
-def to_model(integers: P3at, wheel_radius: float = WHEEL_RADIUS) -> SymmetricIcr:
-    """The symmetric model that a robot with these integers and that nominal wheel radius [m] moves by."""
-    alpha = TICKS_MM * WHEEL_RADIUS / (integers.ticksmm * _positive(wheel_radius, "wheel_radius"))
-    icr_y = 1e-3 * REVCOUNT_SCALE * integers.revcount / (2.0 * math.pi * integers.ticksmm)
-    return SymmetricIcr(icr_y, alpha)
-
-
 def _positive(value: float, name: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"need {name} > 0, got {value}")

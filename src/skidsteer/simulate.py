@@ -13,7 +13,7 @@ import numpy as np
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import RequestError
 from skidsteer.models import Differential, Model
-from skidsteer.noise import Noise, paths_between
+from skidsteer.noise import paths_between
 from skidsteer.se2 import FloatArray, chain, compose, exp
 from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Mount, Timing, Windows, predict
@@ -282,9 +282,3 @@ def refuse_fast(vehicle: Vehicle, commands: Series) -> None:
         f"the {('left', 'right')[side]} wheels are asked for {commands.values[at, side]:.3f} m/s at"
         f" {commands.t[at]:.2f} s, but {reached}; drive slower or turn less"
     )
-
-
-def matching_noise(sensors: Sensors, motion_noise: tuple[float, float]) -> Noise:
-    """The ``Noise`` that a simulated drive has, with zeros replaced by the least that an estimator allows."""
-    values = (sensors.position_sigma, sensors.yaw_sigma, sensors.stamp_sigma, *motion_noise)
-    return Noise(*(max(v, least) for v, least in zip(values, (1e-6, 1e-6, 1e-5, 1e-6, 1e-6), strict=True)))

@@ -6,7 +6,6 @@ hold ranges [m]. Where nothing came back, a cell is empty, ``nan``, ``inf`` or 0
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -14,8 +13,7 @@ import numpy as np
 
 from skidsteer.drive import Series
 from skidsteer.errors import DataError, RequestError
-from skidsteer.io import atomic
-from skidsteer.io.csv_table import Table, line_of, read_table
+from skidsteer.io.csv_table import Table, line_of
 from skidsteer.io.messages import Samples
 from skidsteer.io.raw import BagTopic, shown
 from skidsteer.io.stamps import SECOND, Clock, Timed, to_series
@@ -34,18 +32,12 @@ def is_scan_table(table: Table) -> bool:
     return table.header[0] == "t" and len(table.header) > 3 and all(map(_is_number, table.header[1:]))
 
 
-def read_scans(path: str | os.PathLike[str]) -> Scans:
-    """Read the scans of a CSV file.
+def scans_of(table: Table) -> Scans:
+    """The scans of a CSV file.
 
     Raises:
-        DataError: the file cannot be read, its columns are no bearings, a cell is no number, or the times do not
-            increase.
+        DataError: its columns are no bearings, a cell is no number, or the times do not increase.
     """
-    return scans_of(read_table(path))
-
-
-def scans_of(table: Table) -> Scans:
-    """As ``read_scans``, of a file that is open already."""
     if not is_scan_table(table):
         raise DataError(f"{table.path}: the columns of scans are t and, for each ray, its bearing in rad as a name")
     values = _numbers(table)
@@ -55,21 +47,6 @@ def scans_of(table: Table) -> Scans:
         raise DataError(f"{table.path}: line {line}: t is no number or not later than in the line before; sort by t")
     with _told_of(str(table.path)):
         return Scans(values[:, 0], np.array(table.header[1:], dtype=float), values[:, 1:])
-
-
-def write_scans(scans: Scans, path: str | os.PathLike[str]) -> None:
-    """Write scans as a CSV file, ranges to a tenth of a millimetre.
-
-    Raises:
-        DataError: the path cannot be written to.
-        ValueError: the rays of a scan are not simultaneous, which the file cannot tell.
-    """
-    if np.any(scans.ray_delay):
-        raise ValueError("scans whose rays come one after the other cannot be written: the file has one time a scan")
-    header = ",".join(["t", *(f"{bearing:.7f}" for bearing in scans.bearings.tolist())])
-    cells = np.where(scans.ranges > 0.0, np.char.mod("%.4f", scans.ranges), "")
-    lines = [",".join([repr(t), *row]) for t, row in zip(scans.t.tolist(), cells.tolist(), strict=True)]
-    atomic.write_text(path, "\n".join([header, *lines, ""]))
 
 
 def plate_poses(

@@ -55,7 +55,7 @@ def slip_ratio(v_outer: ArrayLike, v_inner: ArrayLike, radius: ArrayLike, track_
     return np.asarray(np.asarray(v_outer) * (R - half) / (inner * (R + half)))
 
 
-def slip_ratio_of(slip_inner: ArrayLike, slip_outer: ArrayLike) -> FloatArray:
+def slip_ratio_from_slips(slip_inner: ArrayLike, slip_outer: ArrayLike) -> FloatArray:
     """K_s (...) of slip coefficients (shares, not per cent), Eq. (14).
 
     Raises:
