@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Mapping
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class SkidSteerError(Exception):
@@ -20,3 +24,14 @@ class RequestError(SkidSteerError):
 def printable(text: str) -> str:
     """Text from a file that may be shown: line breaks, control, escape and direction marks become question marks."""
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else "?" for c in text)
+
+
+def named(name: str, what: str, known: Mapping[str, T], otherwise: str = "") -> T:
+    """What is known by that name.
+
+    Raises:
+        RequestError: no such ``what``; the message lists those there are, and ``otherwise`` behind them.
+    """
+    if name not in known:
+        raise RequestError(f"no {what} '{name}'; there are: {', '.join(known)}{otherwise}")
+    return known[name]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from skidsteer.drive import Drive, Series
-from skidsteer.errors import RequestError
+from skidsteer.errors import named
 from skidsteer.models import Model, SymmetricIcr
 from skidsteer.mujoco_plant import RollingEngine, roll
 from skidsteer.rolling import Rolling, RollingModel
@@ -57,9 +57,7 @@ def plant(name: str) -> Plant:
     Raises:
         RequestError: no such plant; the message lists those there are.
     """
-    if name not in PLANTS:
-        raise RequestError(f"no plant '{name}'; there are: {', '.join(PLANTS)}")
-    return PLANTS[name]
+    return named(name, "plant", PLANTS)
 
 
 def begin(

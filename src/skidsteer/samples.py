@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from skidsteer.drive import Drive, Series
-from skidsteer.errors import RequestError
+from skidsteer.errors import named
 from skidsteer.models import Differential, Icr
 from skidsteer.models.slip_ratio import CircleRun
 from skidsteer.se2 import FloatArray, exp
@@ -222,6 +222,4 @@ def sample(name: str) -> Drive:
     Raises:
         RequestError: no such sample; the message lists those there are.
     """
-    if name not in SAMPLES:
-        raise RequestError(f"no sample '{name}'; there are: {', '.join(SAMPLES)}")
-    return SAMPLES[name].make()
+    return named(name, "sample", SAMPLES).make()

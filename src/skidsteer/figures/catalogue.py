@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skidsteer.errors import RequestError
+from skidsteer.errors import named
 from skidsteer.figures.errors import draw_coverage, draw_models, draw_residuals
 from skidsteer.figures.material import Material
 from skidsteer.figures.robot import draw_robot_icrs
@@ -45,9 +45,7 @@ def entry(name: str) -> Entry:
     Raises:
         RequestError: no such figure; the message lists those there are.
     """
-    if name not in FIGURES:
-        raise RequestError(f"no figure '{name}'; there are: {', '.join(FIGURES)}")
-    return FIGURES[name]
+    return named(name, "figure", FIGURES)
 
 
 def write_figure(name: str, material: Material, path: Path) -> None:

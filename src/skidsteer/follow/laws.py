@@ -24,7 +24,7 @@ from skidsteer.control import huskic as huskic_law
 from skidsteer.control import pentzer as pentzer_law
 from skidsteer.control import pure_pursuit as pursuit
 from skidsteer.control import soetanto as soetanto_law
-from skidsteer.errors import RequestError
+from skidsteer.errors import RequestError, named
 from skidsteer.models import ScheduledIcr
 
 TYPICAL = 0.5  # [1/m] curvature at which a law with one icr_x is told it
@@ -99,9 +99,7 @@ def controller(name: str, gains: str | None, speed: float, known: Known) -> Cont
     Raises:
         RequestError: no such controller or gains, or a speed that is not above 0.
     """
-    if name not in LAWS:
-        raise RequestError(f"no controller '{name}'; there are: {', '.join(LAWS)}")
-    sets = LAWS[name]
+    sets = named(name, "controller", LAWS)
     if gains is not None and gains not in sets:
         raise RequestError(f"no gains '{gains}' of {name}; there are: {', '.join(sets)}")
     if not 0.0 < speed < float("inf"):

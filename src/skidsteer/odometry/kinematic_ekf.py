@@ -39,7 +39,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skidsteer.errors import DataError, RequestError
+from skidsteer.errors import DataError, RequestError, named
 from skidsteer.kernels import thalmann as kernels
 from skidsteer.models.transfer_factor import TransferFactor
 from skidsteer.odometry.reference_update import Moving, threshold, updated
@@ -233,8 +233,6 @@ def thalmann_filter(name: str, track_width: float, noise: SystemNoise | None = N
     Raises:
         RequestError: no such filter.
     """
-    if name not in TABLE_1:
-        raise RequestError(f"no filter '{name}'; there are: {', '.join(TABLE_1)}")
-    choice, geometry, estimated = TABLE_1[name]
+    choice, geometry, estimated = named(name, "filter", TABLE_1)
     ideal = TransferFactor(0.0, 0.0, 1.0, track_width)
     return KinematicEkf(ideal, choice, geometry, estimated, noise or SystemNoise())

@@ -8,7 +8,7 @@ import numpy as np
 
 from skidsteer.calibration import Calibration
 from skidsteer.drive import Drive
-from skidsteer.errors import DataError, RequestError
+from skidsteer.errors import DataError, RequestError, named
 from skidsteer.evaluation import fit_offset
 from skidsteer.models import Differential
 from skidsteer.noise import Noise
@@ -34,8 +34,7 @@ class OdometryOptions:
     fit_delay: bool = False  # find the time offset of the reference first; needs reference poses
 
     def __post_init__(self) -> None:
-        if self.filter not in FILTERS:
-            raise RequestError(f"no filter '{self.filter}'; there are: {', '.join(FILTERS)}")
+        named(self.filter, "filter", FILTERS)
         if self.lose_after is not None and not 0.0 <= self.lose_after < np.inf:
             raise RequestError(f"the reference is lost after a time of 0 s or more, got {self.lose_after}")
 

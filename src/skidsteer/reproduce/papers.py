@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 from skidsteer.drive import Drive
-from skidsteer.errors import RequestError
+from skidsteer.errors import RequestError, named
 from skidsteer.figures.sheet import style
 from skidsteer.io.atomic import make_folder, write_text
 from skidsteer.io.drives import load_drive
@@ -63,8 +63,7 @@ def asked(paper: str) -> tuple[str, ...]:
     """
     if paper == "all":
         return tuple(PAPERS)
-    if paper not in PAPERS:
-        raise RequestError(f"no paper '{paper}'; there are: {', '.join(PAPERS)}, or all")
+    named(paper, "paper", PAPERS, ", or all")
     return (paper,)
 
 

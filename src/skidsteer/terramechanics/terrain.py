@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skidsteer.errors import RequestError
+from skidsteer.errors import RequestError, named
 from skidsteer.se2 import FloatArray
 
 
@@ -77,9 +77,7 @@ def terrain(name: str) -> Terrain:
     Raises:
         RequestError: no such terrain; the message lists those there are.
     """
-    if name not in TERRAINS:
-        raise RequestError(f"no terrain '{name}'; there are: {', '.join(TERRAINS)}")
-    return TERRAINS[name]
+    return named(name, "terrain", TERRAINS)
 
 
 def parse_ground(text: str) -> Ground:
