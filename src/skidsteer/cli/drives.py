@@ -109,9 +109,9 @@ def odometry(
             result = run(known, loaded, options, report)
         else:
             result = run_phases(known, loaded, phases, options, report)
-    write_tum(out, result.track.t, result.track.poses)
+    write_tum(out, result.trajectory.t, result.trajectory.poses)
     if covariance is not None:
-        write_covariances(covariance, result.track.t, result.track.covariances)
+        write_covariances(covariance, result.trajectory.t, result.trajectory.covariances)
     if json:
         typer.echo(documents.to_json(documents.odometry_document(result, remarks(known, [loaded]))))
     else:
