@@ -17,7 +17,7 @@ from skidsteer.noise import Noise
 from skidsteer.odometry.icr_filter import IcrFilter
 from skidsteer.odometry.log import Event, Log, Step
 from skidsteer.odometry.state import FilterState
-from skidsteer.odometry.track import replay
+from skidsteer.odometry.trajectory import replay
 from skidsteer.se2 import FloatArray
 
 SIGMA = 0.003  # of each parameter at the start

@@ -21,7 +21,7 @@ from skidsteer.odometry.begin import HERE, begin
 from skidsteer.odometry.icr_filter import FilterOptions, IcrFilter
 from skidsteer.odometry.log import Log, log_of
 from skidsteer.odometry.state import FilterState
-from skidsteer.odometry.track import Track, replay
+from skidsteer.odometry.trajectory import Trajectory, replay
 from skidsteer.se2 import FloatArray, compose, wrap
 
 ROOT = Path(__file__).parents[1]
@@ -156,7 +156,7 @@ def _loss(f: IcrFilter, start: FilterState, log: Log, length: float) -> Loss:
     return Loss(np.array(errors), np.array(nees))
 
 
-def _nominal(known: Calibration, whole: Track, log: Log, length: float) -> FloatArray:
+def _nominal(known: Calibration, whole: Trajectory, log: Log, length: float) -> FloatArray:
     plain = IcrFilter(Differential.nominal(known.vehicle), (), np.zeros((0, 0)), np.zeros((0, 2)), Noise())
     errors = []
     for since in _times(log, length):
@@ -168,7 +168,7 @@ def _nominal(known: Calibration, whole: Track, log: Log, length: float) -> Float
     return np.array(errors)
 
 
-def _misses(track: Track, log: Log, first: float, last: float) -> tuple[FloatArray, FloatArray]:
+def _misses(track: Trajectory, log: Log, first: float, last: float) -> tuple[FloatArray, FloatArray]:
     """Reference less the sensor's pose (k, 3), and its times (k,)."""
     seen = log.reference.between(first, min(last, track.t[-1]))
     body = np.stack([np.interp(seen.t, track.t, column) for column in track.poses.T], axis=-1)

@@ -32,8 +32,8 @@ from skidsteer.control import (
 )
 from skidsteer.errors import DataError, RequestError
 from skidsteer.follow import Ends, Jump, Run, Sensing, follow, summarize
-from skidsteer.follow.driver import Driver, Memory
 from skidsteer.follow.known_pose import GRACE, SLOWING, KnownPose, grace
+from skidsteer.follow.path_follower import Memory, PathFollower
 from skidsteer.follow.sensing import Localization, twist_meter
 from skidsteer.models import Icr, ScheduledIcr
 from skidsteer.paths import Path, arc, clothoid, lemniscate, line, stadium
@@ -143,10 +143,10 @@ def test_wheels_at_their_acceleration_go_straight_to_what_is_asked_for() -> None
         def advance(self, state: PathState, *_: object) -> PathState:
             return state
 
-    driver = Driver(Held(), WHEELS, EIGHT, acceleration=2.0)  # type: ignore[arg-type]
+    follower = PathFollower(Held(), WHEELS, EIGHT, acceleration=2.0)  # type: ignore[arg-type]
     asked, memory = WHEELS.speeds(0.5, 0.4), Memory()
     for k in range(1, 30):
-        memory = driver.drive(memory, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)
+        memory = follower.drive(memory, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)
         assert_allclose(memory.sent, asked * min(1.0, 0.04 * k / asked.max()), atol=1e-12)
         assert_allclose(memory.realised, PLANT.twist(*memory.sent)[[0, 2]], atol=1e-12)
     assert memory.asked == (0.5, 0.4)
@@ -280,33 +280,33 @@ def test_no_pose_at_the_beginning_is_waited_for() -> None:
 
 
 def test_a_pose_that_is_no_number_counts_as_none() -> None:
-    driver = Driver(controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
-    moving = driver.drive(Memory(), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)
+    follower = PathFollower(controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
+    moving = follower.drive(Memory(), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)
     for bad in ((math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), None):
-        after = driver.drive(moving, bad, (1.0, 0.0, 0.0), 0.04)
+        after = follower.drive(moving, bad, (1.0, 0.0, 0.0), 0.04)
         assert after.known == KnownPose((pytest.approx(1.04), 0.0, 0.0), 0.04)  # type: ignore[arg-type]
-        assert driver.drive(Memory(), bad, (0.0, 0.0, 0.0), 0.02).sent == (0.0, 0.0)
+        assert follower.drive(Memory(), bad, (0.0, 0.0, 0.0), 0.02).sent == (0.0, 0.0)
     for _ in range(30):
-        moving = driver.drive(moving, None, (0.5, 0.0, 0.1), 0.02)
+        moving = follower.drive(moving, None, (0.5, 0.0, 0.1), 0.02)
     assert moving.sent == (0.0, 0.0)
 
 
 def test_a_twist_that_is_no_number_is_taken_for_the_one_sent() -> None:
-    driver = Driver(controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
-    moving = driver.drive(Memory(), (1.0, 0.1, 0.0), (0.0, 0.0, 0.0), 0.02)
+    follower = PathFollower(controllers(WHEELS)["pentzer"], WHEELS, line(5.0))
+    moving = follower.drive(Memory(), (1.0, 0.1, 0.0), (0.0, 0.0, 0.0), 0.02)
     assert moving.realised[1] < -0.05
-    reckoned = driver.drive(moving, None, (math.nan, 0.0, 0.0), 0.04).known
+    reckoned = follower.drive(moving, None, (math.nan, 0.0, 0.0), 0.04).known
     v, omega = moving.realised
     assert reckoned is not None
     assert_allclose(reckoned.pose, compose((1.0, 0.1, 0.0), exp(np.array([v, 0.0, omega]) * 0.04)), atol=1e-12)
-    assert driver.drive(moving, (1.02, 0.1, 0.0), (0.5, math.inf, 0.0), 0.02).sent != (0.0, 0.0)
+    assert follower.drive(moving, (1.02, 0.1, 0.0), (0.5, math.inf, 0.0), 0.02).sent != (0.0, 0.0)
 
 
 def test_no_time_changes_nothing() -> None:
     for controller in controllers(WHEELS).values():
-        driver = Driver(controller, WHEELS, EIGHT, acceleration=2.0)
-        before = driver.drive(Memory(), tuple(EIGHT.robot(1.0).tolist()), (0.5, 0.0, 0.1), 0.02)
-        after = driver.drive(before, tuple(EIGHT.robot(1.0).tolist()), (0.5, 0.0, 0.1), 0.0)
+        follower = PathFollower(controller, WHEELS, EIGHT, acceleration=2.0)
+        before = follower.drive(Memory(), tuple(EIGHT.robot(1.0).tolist()), (0.5, 0.0, 0.1), 0.02)
+        after = follower.drive(before, tuple(EIGHT.robot(1.0).tolist()), (0.5, 0.0, 0.1), 0.0)
         assert after.state is before.state
         assert after.sent == before.sent
 
@@ -511,12 +511,12 @@ def test_a_start_farther_off_may_be_allowed() -> None:
         (lambda: Ends(laps=0.0), "laps must be above 0"),
         (lambda: Ends(off=math.nan), r"the distance off the path \[m\] must be above 0, got nan"),
         (
-            lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, 0.0),
+            lambda: PathFollower(controllers(WHEELS)["huskic"], WHEELS, EIGHT, 0.0),
             "acceleration of the wheels must be above 0",
         ),
         (lambda: Sensing(pose_rate=0.0), "the rate of the poses must be at least 0.01 Hz, got 0"),
         (
-            lambda: Driver(controllers(WHEELS)["huskic"], WHEELS, EIGHT, pose_rate=math.nan),
+            lambda: PathFollower(controllers(WHEELS)["huskic"], WHEELS, EIGHT, pose_rate=math.nan),
             "the rate of the poses must be above 0 Hz, got nan",
         ),
     ],

@@ -19,10 +19,10 @@ from skidsteer.evaluation import evaluate
 from skidsteer.follow import Ends, Jump, Run, Sensing, follow
 from skidsteer.follow.animation import embedded, page
 from skidsteer.follow.belief import low_speed
-from skidsteer.follow.driver import Memory
 from skidsteer.follow.known_pose import KnownPose
 from skidsteer.follow.laws import LAWS, Known, controller
 from skidsteer.follow.loop import Judge
+from skidsteer.follow.path_follower import Memory
 from skidsteer.follow.picture import against_time, thin, ticks, way
 from skidsteer.follow.task import Belief, Task, believed, run_task
 from skidsteer.follow.words import SHAPES, course, parse_jumps, parse_spans, parse_start

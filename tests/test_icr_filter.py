@@ -17,7 +17,7 @@ from skidsteer.models.transfer_factor import TransferFactor
 from skidsteer.odometry.icr_filter import FilterOptions, IcrFilter
 from skidsteer.odometry.log import Log
 from skidsteer.odometry.state import FilterState, Pose, Position, Standstill, YawRate
-from skidsteer.odometry.track import replay
+from skidsteer.odometry.trajectory import replay
 from skidsteer.se2 import FloatArray, chain, compose, wrap
 from skidsteer.windows import Mount, Timing, Windows, predict
 

@@ -125,9 +125,9 @@ def test_json_tells_what_was_taken_and_how_sure_the_end_is(run: Run, files: tupl
 def test_every_filter_makes_a_track(name: str, known: Calibration, short: Drive) -> None:
     drive = short.between(0.0, 30.0)
     result = run_of(known, drive, filter=name)
-    assert len(result.track.t) == len(drive.wheels)
-    assert np.isfinite(result.track.means).all()
-    assert np.linalg.eigvalsh(result.track.covariances).min() > 0.0
+    assert len(result.trajectory.t) == len(drive.wheels)
+    assert np.isfinite(result.trajectory.means).all()
+    assert np.linalg.eigvalsh(result.trajectory.covariances).min() > 0.0
     assert result.distance is not None
     assert result.distance.rms < 0.1
 
@@ -149,11 +149,11 @@ def run_of(known: Calibration, drive: Drive, **options: object):  # type: ignore
 
 def test_without_a_reference_it_reckons_from_the_origin(known: Calibration, short: Drive) -> None:
     alone = run_of(known, replace(short, pose=None))
-    assert_allclose(alone.track.poses[0], np.zeros(3), atol=0.0)
+    assert_allclose(alone.trajectory.poses[0], np.zeros(3), atol=0.0)
     assert alone.distance is None
-    assert alone.track.covariances[-1, 0, 0] > 1e-4
+    assert alone.trajectory.covariances[-1, 0, 0] > 1e-4
     ignored = run_of(known, short, reference=False)
-    assert_allclose(ignored.track.poses, alone.track.poses, atol=0.0)
+    assert_allclose(ignored.trajectory.poses, alone.trajectory.poses, atol=0.0)
     assert ignored.distance is not None
     assert ignored.nominal is not None
     assert ignored.distance.most < 0.3 < ignored.nominal.most
@@ -170,28 +170,28 @@ def test_smoothing_comes_closer(known: Calibration, short: Drive) -> None:
     assert both.distance is not None
     assert forward.distance is not None
     middle = slice(500, 5000)
-    assert (both.track.covariances[middle, 0, 0] < forward.track.covariances[middle, 0, 0]).mean() > 0.95
+    assert (both.trajectory.covariances[middle, 0, 0] < forward.trajectory.covariances[middle, 0, 0]).mean() > 0.95
 
 
 def test_the_delay_of_the_reference_is_found(known: Calibration, short: Drive) -> None:
     assert short.pose is not None
     later = replace(short, pose=Series(short.pose.t + 0.25, short.pose.values, "pose"))
-    assert run_of(known, later, fit_delay=True).track.squared.mean() < 3.6
-    assert run_of(known, later).track.squared.mean() > 6.0
+    assert run_of(known, later, fit_delay=True).trajectory.squared.mean() < 3.6
+    assert run_of(known, later).trajectory.squared.mean() > 6.0
 
 
 def test_a_gyro_is_taken_where_there_is_one(known: Calibration, short: Drive) -> None:
     """A perfect gyro with a bias, 0.1 s late, against a calibration whose left ICR is off by 5 cm."""
-    truth = run_of(known, short, reference=False).track
+    truth = run_of(known, short, reference=False).trajectory
     rate = np.gradient(truth.poses[:, 2], truth.t)[::5] + 0.004
     drive = replace(short, pose=None, gyro=Series(truth.t[::5] + 0.1, rate, "gyro"))
     wrong = replace(known, model=replace(P3AT_TRUTH, icr_y_left=0.2), covariance=_wider(known))
     with_gyro, without = run_of(wrong, drive), run_of(wrong, drive, gyro=False)
-    miss = [np.abs(found.track.poses[:, 2] - truth.poses[:, 2]).max() for found in (with_gyro, without)]
+    miss = [np.abs(found.trajectory.poses[:, 2] - truth.poses[:, 2]).max() for found in (with_gyro, without)]
     assert miss[0] < 0.1 < 0.3 < miss[1]
-    assert with_gyro.track.last.mean[-1] == pytest.approx(0.004, abs=0.001)
-    assert with_gyro.track.rates[0] > 1000
-    width = with_gyro.track.last.mean[3] - with_gyro.track.last.mean[4]
+    assert with_gyro.trajectory.last.mean[-1] == pytest.approx(0.004, abs=0.001)
+    assert with_gyro.trajectory.rates[0] > 1000
+    width = with_gyro.trajectory.last.mean[3] - with_gyro.trajectory.last.mean[4]
     assert width == pytest.approx(P3AT_TRUTH.icr_y_left - P3AT_TRUTH.icr_y_right, rel=0.05)
 
 

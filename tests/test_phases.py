@@ -56,7 +56,7 @@ def result(drive: Drive) -> Odometry:
 
 
 def test_slips_are_learned_until_the_reference_is_lost(drive: Drive, result: Odometry) -> None:
-    track = result.track
+    track = result.trajectory
     mean = dict(zip(track.names, track.last.mean, strict=True))
     sigma = dict(zip(track.names, np.sqrt(np.diag(track.last.covariance)), strict=True))
     for name in ("slip_left", "slip_right", "efficiency"):
@@ -91,7 +91,7 @@ def test_what_comes_after_the_loss_changes_nothing(drive: Drive, result: Odometr
     values[drive.position.t > 61.0] += 50.0
     spoilt = replace(drive, position=Series(drive.position.t, values, "position"))
     again = run_phases(known(True), spoilt, 60.0)
-    assert_allclose(again.track.means, result.track.means)
+    assert_allclose(again.trajectory.means, result.trajectory.means)
     assert again.distance is not None
     assert again.distance.most > 40.0
 
@@ -112,8 +112,8 @@ def test_thalmanns_filters_run_by_name(name: str, drive: Drive) -> None:
     assert name in FILTERS
     result = run(known(False), drive, OdometryOptions(name, lose_after=60.0))
     assert result.filter.names[:3] == ("x", "y", "yaw")
-    assert len(result.track.t) == len(drive.wheels)
-    assert np.linalg.eigvalsh(result.track.last.covariance)[0] > 0.0
+    assert len(result.trajectory.t) == len(drive.wheels)
+    assert np.linalg.eigvalsh(result.trajectory.last.covariance)[0] > 0.0
     assert result.distance is not None
     assert result.nominal is not None
     estimated = TABLE_1[name][2]

@@ -32,7 +32,7 @@ from skidsteer.report.error_charts import worst_and_some
 from skidsteer.report.markup import Html, embedded, markup, rounded, spread, tag
 from skidsteer.report.model_charts import chi_of_model
 from skidsteer.report.reckoner import Part, Reckoner, fit_options, known_vehicle, uncalibrated
-from skidsteer.report.tracks import Track, step_errors, thin, track
+from skidsteer.report.tracks import DriveTracks, step_errors, thin, tracks_of
 from skidsteer.report.treads import ellipse, places, tread_icrs
 from skidsteer.se2 import FloatArray, between, chain, compose, exp, invert, wrap
 from skidsteer.simulate import Sensors, kinematic_drive, rims_from_manoeuvres
@@ -108,7 +108,7 @@ def perfect() -> Drive:
 
 
 def test_dead_reckoning_by_the_truth_stays_on_the_reference(perfect: Drive) -> None:
-    found = track(Reckoner(perfect, (Part(TRUTH, TIMING, MOUNT),), WHOLE, False), uncalibrated(P3AT))
+    found = tracks_of(Reckoner(perfect, (Part(TRUTH, TIMING, MOUNT),), WHOLE, False), uncalibrated(P3AT))
     assert found is not None
     assert found.sees == "pose"
     assert len(found) > 300
@@ -122,7 +122,7 @@ def test_dead_reckoning_by_the_truth_stays_on_the_reference(perfect: Drive) -> N
 def test_each_block_is_predicted_by_the_fit_that_has_not_seen_it(perfect: Drive) -> None:
     parts = Part(TRUTH, TIMING, MOUNT), Part(Differential(0.4), TIMING, MOUNT)
     edges = np.array([-np.inf, 10.0, 20.0, np.inf])
-    found = track(Reckoner(perfect, parts, edges, True), {})
+    found = tracks_of(Reckoner(perfect, parts, edges, True), {})
     assert found is not None
     assert found.is_held_out
     error = np.abs(step_errors(found, "calibrated")).max(axis=1)
@@ -134,7 +134,7 @@ def test_each_block_is_predicted_by_the_fit_that_has_not_seen_it(perfect: Drive)
 def test_a_drive_in_segments_begins_anew_in_each() -> None:
     _, drive, _ = lab()
     cut = replace(drive, segments=np.array([[10.0, 12.0], [20.0, 22.0], [40.0, 43.0]]))
-    found = track(Reckoner(cut, (Part(TRUTH, Timing(0.15, 0.08), Mount()),), WHOLE, False), uncalibrated(P3AT))
+    found = tracks_of(Reckoner(cut, (Part(TRUTH, Timing(0.15, 0.08), Mount()),), WHOLE, False), uncalibrated(P3AT))
     assert found is not None
     first = np.flatnonzero(np.diff(found.piece, prepend=-1))
     assert len(first) == 3
@@ -147,7 +147,7 @@ def test_positions_and_gyro_alone_tell_what_they_can() -> None:
     assert drive.pose is not None
     part = (Part(TRUTH, Timing(0.15, 0.08), Mount()),)
     positions = replace(drive, pose=None, position=Series(drive.pose.t, drive.pose.values[:, :2], "position"))
-    seen = track(Reckoner(positions, part, WHOLE, False), {})
+    seen = tracks_of(Reckoner(positions, part, WHOLE, False), {})
     assert seen is not None
     assert seen.sees == "position"
     bowed = drift_per_10_m([seen])
@@ -155,24 +155,24 @@ def test_positions_and_gyro_alone_tell_what_they_can() -> None:
     assert bowed.is_fitted
     rate = np.gradient(np.unwrap(drive.pose.values[:, 2]), drive.pose.t)
     gyro = replace(drive, pose=None, gyro=Series(drive.pose.t, rate, "gyro"))
-    turned = track(Reckoner(gyro, part, WHOLE, False), {"nominal": Differential(0.4)})
+    turned = tracks_of(Reckoner(gyro, part, WHOLE, False), {"nominal": Differential(0.4)})
     assert turned is not None
     assert turned.sees == "turn"
     found = yaw_per_turn([turned])
     assert found is not None
     assert found.errors["calibrated"] < 0.2 * found.errors["nominal"]
-    assert track(Reckoner(replace(drive, pose=None), part, WHOLE, False), {}) is None
+    assert tracks_of(Reckoner(replace(drive, pose=None), part, WHOLE, False), {}) is None
 
 
 # Drift
 
 
-def driven(steps: FloatArray, **models: FloatArray) -> Track:
+def driven(steps: FloatArray, **models: FloatArray) -> DriveTracks:
     """A track of one piece from motions of reference and models."""
     poses = {"reference": chain(steps), **{name: chain(motion) for name, motion in models.items()}}
     poses["reference"][:, 2] = wrap(poses["reference"][:, 2])
     n = len(steps) + 1
-    return Track("made", "pose", True, np.arange(n, dtype=float), np.zeros(n, int), poses)
+    return DriveTracks("made", "pose", True, np.arange(n, dtype=float), np.zeros(n, int), poses)
 
 
 def test_drift_by_hand() -> None:
@@ -630,7 +630,7 @@ def test_the_calibration_file_keeps_the_intervals(saved: tuple[Path, Path]) -> N
 
 def test_restarts_are_rigid(perfect: Drive) -> None:
     """What the page does to begin anew, done here: the same motion from another pose."""
-    found = track(Reckoner(perfect, (Part(TRUTH, TIMING, MOUNT),), WHOLE, False), uncalibrated(P3AT))
+    found = tracks_of(Reckoner(perfect, (Part(TRUTH, TIMING, MOUNT),), WHOLE, False), uncalibrated(P3AT))
     assert found is not None
     poses, reference, i, j = found.poses["nominal"], found.poses["reference"], 50, 90
     moved = compose(compose(reference[i], invert(poses[i])), poses[j])

@@ -20,12 +20,12 @@ from skidsteer.odometry.kinematic_ekf import TABLE_1, thalmann_filter
 from skidsteer.odometry.log import Log
 from skidsteer.odometry.state import Filter
 from skidsteer.odometry.state_choice import SystemNoise
-from skidsteer.odometry.track import Track, replay, smooth
+from skidsteer.odometry.trajectory import Trajectory, replay, smooth
 from skidsteer.paths import Path, clothoid, join
 from skidsteer.rolling import RollingModel
 from skidsteer.se2 import FloatArray, compose
 from skidsteer.windows import Mount
-from test_odometry_track import busy_log
+from test_odometry_trajectory import busy_log
 
 FLIP = np.array([1.0, -1.0, -1.0])
 ELSEWHERE = np.array([30.0, -20.0, 2.1])
@@ -82,7 +82,7 @@ def other_robot(f: IcrFilter) -> IcrFilter:
     return replace(f, model=other_side(f.model), theta_covariance=covariance, bounds=bounds)
 
 
-def tracked(f: Filter, log: Log, start: FloatArray, P: FloatArray, back: bool = False) -> Track:
+def tracked(f: Filter, log: Log, start: FloatArray, P: FloatArray, back: bool = False) -> Trajectory:
     return (smooth if back else replay)(f, f.start(float(log.wheels.t[0]), start, P), log)
 
 

@@ -17,7 +17,7 @@ from skidsteer.odometry.state import FilterState, Pose, Position, Standstill, Ya
 from skidsteer.odometry.state_choice import SystemNoise, rims, unit_variance
 from skidsteer.odometry.thalmann_replay import Tracking, replay
 from skidsteer.odometry.timeline import Timeline
-from skidsteer.odometry.track import stepwise
+from skidsteer.odometry.trajectory import stepwise
 from skidsteer.windows import Mount
 
 NOISE = SystemNoise(0.7, 0.3, 0.02, 0.004, 0.03, 0.02)

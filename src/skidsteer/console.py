@@ -250,7 +250,7 @@ def show_terrains(found: Terrains) -> None:
 
 def show_odometry(result: Odometry) -> None:
     """Measurements taken, sigma of the last pose, and distance from the reference."""
-    track = result.track
+    track = result.trajectory
     last = np.sqrt(np.diag(track.covariances[-1]))
     OUT.print(f"{len(track.t)} poses in {track.t[-1] - track.t[0]:.1f} s by {escape(result.filter.fingerprint)}.")
     if len(track.squared):

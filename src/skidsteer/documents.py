@@ -124,7 +124,7 @@ def terrains_document(found: Terrains) -> Document:
 
 def odometry_document(result: Odometry, warnings: Sequence[str] = ()) -> Document:
     """What ``odometry --json`` prints; ``warnings`` are of calibration and drive."""
-    track = result.track
+    track = result.trajectory
     return {
         "filter": result.filter.fingerprint,
         "poses": len(track.t),

@@ -11,7 +11,7 @@ import numpy as np
 from skidsteer.control import Command, Controller, PathError, PathState, Wheels, path_error
 from skidsteer.control.path_state import State
 from skidsteer.errors import RequestError
-from skidsteer.follow.driver import STANDING, Driver, Memory
+from skidsteer.follow.path_follower import STANDING, Memory, PathFollower
 from skidsteer.follow.refusals import refuse_path, refuse_start
 from skidsteer.follow.run import Run
 from skidsteer.follow.sensing import IDEAL, Localization, Sensing, Triple, twist_meter
@@ -77,7 +77,7 @@ def follow(
 
     Args:
         rolling: the robot, where it begins; it is driven on.
-        controller: that drives it, see ``Driver``.
+        controller: that drives it, see ``PathFollower``.
         wheels: the model that turns commands into rim speeds, which is what is believed of the robot; their limit.
         path: to follow.
         sensing: rate of the loop, and what the controller is told.
@@ -95,7 +95,7 @@ def follow(
     """
     refuse_path(path, wheels)
     refuse_start(path, rolling.state[:3], ends.off)
-    driver = Driver(controller, wheels, path, acceleration, sensing.poses)
+    follower = PathFollower(controller, wheels, path, acceleration, sensing.poses)
     localization, meter = Localization(sensing, seed), twist_meter(wheels.model, sensing, seed)
     memory: Memory[State] = Memory()
     judge, rows, dt, end = Judge(path, ends), list[Row](), 1.0 / sensing.rate, None
@@ -106,7 +106,7 @@ def follow(
         x, y, yaw, *moving = state.tolist()
         placed = localization.place((x, y, yaw), t, judge.share)
         seen, twist = localization.see(placed, t), meter(moving)
-        memory = driver.drive(memory, seen, twist, dt)
+        memory = follower.drive(memory, seen, twist, dt)
         at = judge.locate(placed)
         row = (judge.s, at.y_e, at.theta_e)
         rows.append(Row(state, placed, seen or UNKNOWN, memory.asked, memory.sent, row, rolling.power))

@@ -17,7 +17,7 @@ from skidsteer.odometry.reckoning import reckon
 from skidsteer.odometry.run import Odometry, OdometryOptions, distance
 from skidsteer.odometry.state_choice import SystemNoise
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
-from skidsteer.odometry.track import Track
+from skidsteer.odometry.trajectory import Trajectory
 from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray, compose
 
@@ -75,7 +75,7 @@ def run_phases(
     nominal = _reckoned(Differential(width), wheels, whole, tracking, since)
     lost = whole.seen_t >= since
     distances = [distance(path[lost], whole.seen[lost]) if lost.any() else None for path in (whole.expected, nominal)]
-    return Odometry(filter, _track(whole, filter.names), since, *distances)
+    return Odometry(filter, _trajectory(whole, filter.names), since, *distances)
 
 
 def _reckoned(model: Differential, wheels: Series, whole: Replay, tracking: Tracking, since: float) -> FloatArray:
@@ -88,9 +88,9 @@ def _reckoned(model: Differential, wheels: Series, whole: Replay, tracking: Trac
     return compose(body, np.array([*tracking.lever, 0.0]))[:, :2]
 
 
-def _track(whole: Replay, names: tuple[str, ...]) -> Track:
+def _trajectory(whole: Replay, names: tuple[str, ...]) -> Trajectory:
     used = np.isfinite(whole.seen_statistic)
-    return Track(
+    return Trajectory(
         names=names,
         t=whole.t,
         means=whole.means,

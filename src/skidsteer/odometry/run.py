@@ -17,7 +17,7 @@ from skidsteer.odometry.filters import FILTERS, KNOW_BIAS
 from skidsteer.odometry.icr_filter import IcrFilter
 from skidsteer.odometry.log import Log, log_of
 from skidsteer.odometry.state import Filter
-from skidsteer.odometry.track import Track, replay, smooth
+from skidsteer.odometry.trajectory import Trajectory, replay, smooth
 from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray, compose, invert
 
@@ -49,14 +49,14 @@ class Distance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """A track, and its distance from the reference where the drive has one.
+    """A trajectory, and its distance from the reference where the drive has one.
 
     Distances are measured from ``since`` on: where the reference was lost, else the start. Both begin there at the same
     pose.
     """
 
     filter: Filter
-    track: Track
+    trajectory: Trajectory
     since: float  # [s]
     distance: Distance | None = None
     nominal: Distance | None = None  # of dead reckoning by the nominal track width
@@ -83,11 +83,11 @@ def run(
     filter = FILTERS[options.filter](calibration, log.gyro is not None)
     start = begin(filter, log, calibration.model, calibration.timing.lag)
     progress("smoothing" if options.smooth else "filtering", 0, 1)
-    track = smooth(filter, start, log) if options.smooth else replay(filter, start, log, progress)
+    trajectory = smooth(filter, start, log) if options.smooth else replay(filter, start, log, progress)
     if whole.reference is None:
-        return Odometry(filter, track, since)
-    nominal = _reckoned(calibration, log, track, since)
-    return Odometry(filter, track, since, *_distances(whole, (track, nominal), since, log.reference is None))
+        return Odometry(filter, trajectory, since)
+    nominal = _reckoned(calibration, log, trajectory, since)
+    return Odometry(filter, trajectory, since, *_distances(whole, (trajectory, nominal), since, log.reference is None))
 
 
 def _taken(whole: Log, options: OdometryOptions) -> tuple[Log, float]:
@@ -105,26 +105,28 @@ def _taken(whole: Log, options: OdometryOptions) -> tuple[Log, float]:
     return whole.without((since, np.inf)), since
 
 
-def _reckoned(calibration: Calibration, log: Log, track: Track, since: float) -> Track:
-    """Dead reckoning by the nominal track width from the pose of a track at ``since``."""
-    at = int(np.searchsorted(track.t, since))
-    wheels = log.wheels.between(float(track.t[at]), np.inf)
+def _reckoned(calibration: Calibration, log: Log, trajectory: Trajectory, since: float) -> Trajectory:
+    """Dead reckoning by the nominal track width from the pose of a trajectory at ``since``."""
+    at = int(np.searchsorted(trajectory.t, since))
+    wheels = log.wheels.between(float(trajectory.t[at]), np.inf)
     if wheels is None:
         raise DataError(f"no wheel sample after {since:.3f} s")
     model = Differential.nominal(calibration.vehicle)
     plain = IcrFilter(model, (), np.zeros((0, 0)), np.zeros((0, 2)), Noise())
-    return replay(plain, plain.start(float(wheels.t[0]), track.poses[at], HERE), Log(wheels))
+    return replay(plain, plain.start(float(wheels.t[0]), trajectory.poses[at], HERE), Log(wheels))
 
 
-def _distances(whole: Log, tracks: tuple[Track, ...], since: float, ignored: bool) -> tuple[Distance | None, ...]:
-    """Distance of each track; one that began at the origin is aligned with the reference first."""
+def _distances(
+    whole: Log, trajectories: tuple[Trajectory, ...], since: float, ignored: bool
+) -> tuple[Distance | None, ...]:
+    """Distance of each trajectory; one that began at the origin is aligned with the reference first."""
     assert whole.reference is not None
-    seen = whole.reference.between(max(since, float(tracks[-1].t[0])), float(tracks[0].t[-1]))
+    seen = whole.reference.between(max(since, float(trajectories[-1].t[0])), float(trajectories[0].t[-1]))
     if seen is None or (ignored and len(seen) < 2):
-        return (None,) * len(tracks)
+        return (None,) * len(trajectories)
     out = []
-    for track in tracks:
-        body = np.stack([np.interp(seen.t, track.t, column) for column in track.poses.T], axis=-1)
+    for trajectory in trajectories:
+        body = np.stack([np.interp(seen.t, trajectory.t, column) for column in trajectory.poses.T], axis=-1)
         path = compose(body, np.array([whole.mount.x, whole.mount.y, whole.mount.yaw]))
         if ignored:
             path = _laid(path, seen.values)

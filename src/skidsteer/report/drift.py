@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skidsteer.metrics import aligned_rms
-from skidsteer.report.tracks import Track, motion_between
+from skidsteer.report.tracks import DriveTracks, motion_between
 from skidsteer.se2 import FloatArray, wrap
 
 DISTANCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # [m]; the longest with ``ENOUGH`` stretches is taken
@@ -27,7 +27,7 @@ class Drift:
     is_fitted: bool = False  # RMS distances along rigidly fitted stretches; nothing is scaled
 
 
-def drift_per_10_m(tracks: Sequence[Track]) -> Drift | None:
+def drift_per_10_m(tracks: Sequence[DriveTracks]) -> Drift | None:
     """Median error [m] of the end position after 10 m; None where the drives are too short.
 
     Every pose begins a stretch, which ends when the calibrated model has moved that far: overlapping stretches use all
@@ -45,7 +45,7 @@ def drift_per_10_m(tracks: Sequence[Track]) -> Drift | None:
     return None
 
 
-def _position_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], float]:
+def _position_errors(track: DriveTracks, length: float) -> tuple[dict[str, FloatArray], float]:
     """Errors (k,) [m] of each model over stretches of a track, and the number of independent ones."""
     i, end, count = _stretches(track, length)
     true = motion_between(track.poses["reference"], i, end[i])
@@ -56,7 +56,7 @@ def _position_errors(track: Track, length: float) -> tuple[dict[str, FloatArray]
     return errors, count
 
 
-def _stretches(track: Track, length: float) -> tuple[np.ndarray, np.ndarray, float]:
+def _stretches(track: DriveTracks, length: float) -> tuple[np.ndarray, np.ndarray, float]:
     """First index (k,) of each stretch, the index (n,) where one from each pose ends, and how many are independent."""
     here = track.poses["calibrated"][:, :2]
     step = np.hypot(*np.diff(here, axis=0, prepend=here[:1]).T)
@@ -68,7 +68,7 @@ def _stretches(track: Track, length: float) -> tuple[np.ndarray, np.ndarray, flo
     return i, end, float(np.floor(lengths / length).sum()) if len(i) else 0.0
 
 
-def _fitted_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], float]:
+def _fitted_errors(track: DriveTracks, length: float) -> tuple[dict[str, FloatArray], float]:
     """RMS distances (k,) [m] of each model along consecutive stretches, each rigidly fitted."""
     begins, end, _ = _stretches(track, length)
     reference = track.poses["reference"][:, :2]
@@ -84,7 +84,7 @@ def _fitted_errors(track: Track, length: float) -> tuple[dict[str, FloatArray], 
     return {name: np.array(found) for name, found in errors.items()}, float(count)
 
 
-def yaw_per_turn(tracks: Sequence[Track]) -> Drift | None:
+def yaw_per_turn(tracks: Sequence[DriveTracks]) -> Drift | None:
     """Median error [deg] of the yaw after 360 deg of turning to one side; None where drives hardly turn.
 
     Turns to the same side are joined, whatever lies between them.
@@ -98,7 +98,7 @@ def yaw_per_turn(tracks: Sequence[Track]) -> Drift | None:
     return None
 
 
-def _turn_errors(track: Track, side: float, length: float) -> tuple[dict[str, FloatArray], float]:
+def _turn_errors(track: DriveTracks, side: float, length: float) -> tuple[dict[str, FloatArray], float]:
     """Errors (k,) [deg] of each model over stretches of turning to one side, and the number of independent ones."""
     joined = np.diff(track.piece, prepend=-1) == 0
     steps = {name: np.diff(poses[:, 2], prepend=0.0) * joined for name, poses in track.poses.items()}
@@ -119,7 +119,7 @@ def _ends(travelled: FloatArray, length: float) -> np.ndarray:
     return np.asarray(np.searchsorted(travelled, travelled + length - 1e-9))
 
 
-def _models(track: Track) -> list[str]:
+def _models(track: DriveTracks) -> list[str]:
     return [name for name in track.poses if name != "reference"]
 
 

@@ -21,7 +21,7 @@ from skidsteer.models import Differential, Model
 from skidsteer.progress import Progress, silent
 from skidsteer.report.drift import Drift, drift_per_10_m, yaw_per_turn
 from skidsteer.report.reckoner import Reckoner, reckoners, uncalibrated
-from skidsteer.report.tracks import Track, thin, track
+from skidsteer.report.tracks import DriveTracks, thin, tracks_of
 from skidsteer.se2 import FloatArray, wrap
 from skidsteer.windows import Windows, judging_windows, predict, steps
 
@@ -58,7 +58,7 @@ class Evidence:
     drives: tuple[str, ...]
     models: dict[str, Model]  # uncalibrated ones, by name
     forced: Forced | None
-    tracks: tuple[Track, ...]
+    tracks: tuple[DriveTracks, ...]
     judged: tuple[Judged, ...]
     window: float  # [s] of the judging windows
     drift: Drift | None
@@ -98,7 +98,7 @@ def gather(
     cured = [fix(drive, examine(drive))[0] for drive in drives] if chosen.get("fix") else list(drives)
     known = reckoners(calibration, cured, fit_delay, folds)
     models = uncalibrated(calibration.vehicle)
-    tracks = [way for reckoner in known if (way := track(reckoner, models)) is not None]
+    tracks = [way for reckoner in known if (way := tracks_of(reckoner, models)) is not None]
     judged = []
     for i, reckoner in enumerate(known):
         progress(f"judging {reckoner.drive.name}", i + 1, total)

@@ -15,7 +15,7 @@ from skidsteer.report.markup import Html, embedded, tag
 from skidsteer.report.section import Section
 from skidsteer.report.sections import sections
 from skidsteer.report.summary import summary
-from skidsteer.report.tracks import Track
+from skidsteer.report.tracks import DriveTracks
 
 
 def write_report(evidence: Evidence, path: str | os.PathLike[str]) -> None:
@@ -90,7 +90,7 @@ def _footer(evidence: Evidence) -> Html:
     return tag("footer", tag("p", f"Report of {now} by {evidence.calibration.provenance.software}."))
 
 
-def _track(track: Track) -> dict[str, Any]:
+def _track(track: DriveTracks) -> dict[str, Any]:
     """What the page needs of a track: positions to the millimetre, yaw to 1e-5 rad."""
     poses = {
         name: [values[:, 0].round(3).tolist(), values[:, 1].round(3).tolist(), values[:, 2].round(5).tolist()]

@@ -19,11 +19,12 @@ WORTH_KEEPING = 7  # poses of a stretch: first, extremes of x and y, largest err
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """Poses at the stamps of a reference. In each ``piece`` dead reckoning begins with the reference's first pose.
+class DriveTracks:
+    """Reference and dead reckoning of a drive, at the stamps of the reference.
 
-    Where the reference has positions only, its yaw is 0 and dead reckoning begins with that: it must be rotated to fit
-    before the two are compared. Where there is only a gyro, the positions of the reference are 0.
+    In each ``piece`` dead reckoning begins with the reference's first pose. Where the reference has positions
+    only, its yaw is 0 and dead reckoning begins with that: it must be rotated to fit before the two are compared. Where
+    there is only a gyro, the positions of the reference are 0.
     """
 
     name: str
@@ -36,13 +37,13 @@ class Track:
     def __len__(self) -> int:
         return len(self.t)
 
-    def where(self, keep: np.ndarray) -> Track:
+    def where(self, keep: np.ndarray) -> DriveTracks:
         """Only the poses of a mask (n,) or of indices."""
         poses = {name: values[keep] for name, values in self.poses.items()}
-        return Track(self.name, self.sees, self.is_held_out, self.t[keep], self.piece[keep], poses)
+        return DriveTracks(self.name, self.sees, self.is_held_out, self.t[keep], self.piece[keep], poses)
 
 
-def track(reckoner: Reckoner, models: Mapping[str, Model]) -> Track | None:
+def tracks_of(reckoner: Reckoner, models: Mapping[str, Model]) -> DriveTracks | None:
     """Dead reckoning along a drive by the calibrated model and by others; None without reference and gyro.
 
     Args:
@@ -66,7 +67,7 @@ def track(reckoner: Reckoner, models: Mapping[str, Model]) -> Track | None:
     motions["calibrated"] = reckoner.motions(windows)
     poses = {"reference": reference}
     poses |= {name: _chains(motion, reference, begin, first) for name, motion in motions.items()}
-    return Track(drive.name, windows.sees, reckoner.is_held_out, t, piece, poses)
+    return DriveTracks(drive.name, windows.sees, reckoner.is_held_out, t, piece, poses)
 
 
 def _reference(reckoner: Reckoner, windows: Windows, t: FloatArray, begin: np.ndarray, first: np.ndarray) -> FloatArray:
@@ -88,7 +89,7 @@ def _chains(motion: FloatArray, reference: FloatArray, begin: np.ndarray, first:
     return np.concatenate(parts)
 
 
-def step_errors(track: Track, name: str) -> FloatArray:
+def step_errors(track: DriveTracks, name: str) -> FloatArray:
     """Error (n, 3) of each motion of a model, in the frame where it begins; 0 at the first pose of a piece."""
     out = np.zeros((len(track), 3))
     joined = np.flatnonzero(track.piece[1:] == track.piece[:-1]) + 1
@@ -104,7 +105,7 @@ def step_errors(track: Track, name: str) -> FloatArray:
     return out
 
 
-def thin(track: Track, most: int) -> Track:
+def thin(track: DriveTracks, most: int) -> DriveTracks:
     """At most about ``most`` poses, none of them moved.
 
     Of each stretch the first pose is kept, those where the reference lies farthest to each side, and those where the

@@ -32,7 +32,7 @@ class Memory(Generic[State]):
     pace: float = 0.0  # [m/s] of the faster rim when a pose came last
 
 
-class Driver(Generic[State]):
+class PathFollower(Generic[State]):
     """A controller on its way along a path; its functions are pure.
 
     Args:

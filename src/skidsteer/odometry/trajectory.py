@@ -19,7 +19,7 @@ TELLING = 500  # steps between two reports of progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class Trajectory:
     """States at the stamps of the wheels, and the innovations of the references between the first and the last."""
 
     names: tuple[str, ...]  # of what the means hold
@@ -41,7 +41,7 @@ class Track:
         return self.means[:, :3]
 
 
-def replay(filter: Filter, state: FilterState, log: Log, progress: Progress = silent) -> Track:
+def replay(filter: Filter, state: FilterState, log: Log, progress: Progress = silent) -> Trajectory:
     """Run a filter over a log, from a state at its first wheel stamp to its last.
 
     The filter with ICR states runs in one compiled loop, in the same steps as ``predict`` and ``update``.
@@ -61,7 +61,7 @@ def _refuse_elsewhere(filter: Filter, state: FilterState, log: Log) -> None:
         raise DataError(f"the state is one at {state.time:.6f} s, the wheels begin at {log.wheels.t[0]:.6f} s")
 
 
-def stepwise(filter: Filter, state: FilterState, log: Log, progress: Progress = silent) -> Track:
+def stepwise(filter: Filter, state: FilterState, log: Log, progress: Progress = silent) -> Trajectory:
     """``replay`` step by step, for any filter."""
     means, covariances, taken, rates, squares = [], [], [], [0, 0], 0.0
     for i, happens in enumerate(log.events()):
@@ -80,7 +80,7 @@ def stepwise(filter: Filter, state: FilterState, log: Log, progress: Progress = 
         means.append(state.mean)
         covariances.append(state.pose_covariance)
     seen_t, squared, accepted, anchored = np.array(taken, dtype=float).reshape(-1, 4).T
-    return Track(
+    return Trajectory(
         filter.names,
         log.wheels.t,
         np.array(means),
@@ -96,8 +96,8 @@ def stepwise(filter: Filter, state: FilterState, log: Log, progress: Progress = 
     )
 
 
-def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -> tuple[Track, Nodes, int]:
-    """The track, and the first ``nodes`` states after a step, with their number."""
+def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -> tuple[Trajectory, Nodes, int]:
+    """The trajectory, and the first ``nodes`` states after a step, with their number."""
     k, n = len(log.wheels), len(state.mean)
     mean, P, memory = state.mean.copy(), state.covariance.copy(), state.memory.copy()
     measured, gyro = _measurements(log), log.gyro if filter.gyro else None
@@ -115,7 +115,7 @@ def _compiled(filter: IcrFilter, state: FilterState, log: Log, nodes: int = 0) -
     taken, refused, squares = rates.tolist()
     rate_squared = squares / (taken + refused) if taken + refused else np.nan
     seen = (measured.when[used], squared[used], log.dof, accepted, anchored, (int(taken), int(refused)))
-    return Track(filter.names, log.wheels.t, means, covariances, *seen, end, rate_squared), room, count
+    return Trajectory(filter.names, log.wheels.t, means, covariances, *seen, end, rate_squared), room, count
 
 
 def _measurements(log: Log) -> Told:
@@ -132,7 +132,7 @@ def _measurements(log: Log) -> Told:
     return Told(log.reference.t.copy(), kind, seen, covariance, np.full(m, log.stamp), mount)
 
 
-def smooth(filter: Filter, state: FilterState, log: Log) -> Track:
+def smooth(filter: Filter, state: FilterState, log: Log) -> Trajectory:
     """As ``replay``, but each state given the whole log: Rauch, Tung and Striebel 1965. For ICR filters that adapt.
 
     States and covariances of all steps are held in memory.
@@ -145,7 +145,7 @@ def smooth(filter: Filter, state: FilterState, log: Log) -> Track:
         raise RequestError("only the filter 'icr' can be smoothed; leave --smooth away")
     _refuse_elsewhere(filter, state, log)
     most = sum(len(s) for s in (log.wheels, log.reference, log.gyro) if s is not None) + 1
-    track, nodes, count = _compiled(filter, state, log, most)
+    trajectory, nodes, count = _compiled(filter, state, log, most)
     icr_replay.smooth(filter.setup, log.gyro_walk, nodes, count)
     at = np.searchsorted(nodes.step[:count, 0], log.wheels.t, side="right") - 1
-    return replace(track, means=nodes.x[at], covariances=nodes.P[at][:, :3, :3])
+    return replace(trajectory, means=nodes.x[at], covariances=nodes.P[at][:, :3, :3])

@@ -21,7 +21,7 @@ from skidsteer.odometry.log import Log
 from skidsteer.odometry.saved_state import load_state, save_state
 from skidsteer.odometry.state import FilterState, Pose, YawRate
 from skidsteer.odometry.timeline import Timeline
-from skidsteer.odometry.track import Track, replay, smooth, stepwise
+from skidsteer.odometry.trajectory import Trajectory, replay, smooth, stepwise
 from skidsteer.se2 import FloatArray, compose, wrap
 from skidsteer.windows import Mount
 
@@ -145,7 +145,7 @@ def wandering(seed: int, f: IcrFilter, duration: float, **options: int) -> tuple
     return truth, f.start(0.0, truth.poses[0] + np.sqrt(np.diag(START)) * rng.standard_normal(3), START)
 
 
-def error(track: Track, truth: Truth) -> FloatArray:
+def error(track: Trajectory, truth: Truth) -> FloatArray:
     """Estimated less true pose (3,) at the end."""
     true = np.array([np.interp(track.t[-1], truth.t, column) for column in truth.poses.T])
     miss = track.poses[-1] - true
@@ -229,7 +229,7 @@ def linear(f: IcrFilter, start: FilterState, wheels: Series) -> tuple[list[Float
 
 
 @pytest.mark.parametrize("run", [replay, smooth])
-def test_a_state_of_another_time_is_refused(run: Callable[..., Track]) -> None:
+def test_a_state_of_another_time_is_refused(run: Callable[..., Trajectory]) -> None:
     truth = simulated(turning(10.0, np.random.default_rng(2)), ASPHALT.theta, np.random.default_rng(3))
     f = make_filter()
     with pytest.raises(DataError, match=r"the state is one at 0\.500000 s, the wheels begin at 0\.000000 s"):
