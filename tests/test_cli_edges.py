@@ -110,7 +110,7 @@ def test_what_calibrate_writes_is_all_old_or_all_new(
     names = ("calibration.yaml", "ekf.yaml", "model.json", "p3at.txt", "report.html", "ros2_control.yaml")
     for name in names:
         (tmp_path / name).write_text("old", encoding="utf-8")
-    words = ("calibrate", short, "--model", "multiplier", "--vehicle", "husky-a200", "--out", tmp_path)
+    words = ("calibrate", short, "--model", "multiplier", "--vehicle", "husky-a200", "--out", tmp_path, "--force")
     sync, full = os.fsync, itertools.chain([False] * 4, itertools.repeat(True))
 
     def failing(file: int) -> None:

@@ -364,15 +364,40 @@ def test_writes_what_people_can_read(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "copy" / "wheels.csv").read_text() == FILES["wheels.csv"]
     assert (tmp_path / "copy" / "segments.csv").read_text() == "seg,t_start,t_end,step\n0,0.0,0.5,7.0\n1,0.5,1.0,8.0\n"
     yaml = "# m, kg, m/s\nname: mine\ntrack_width: 0.55\nwheel_radius: 0.165\nwheels: 4\nmass: 50.0\nsource: ''\n"
-    assert (tmp_path / "copy" / "vehicle.yaml").read_text() == yaml
+    told, mark, digest = (tmp_path / "copy" / "vehicle.yaml").read_text().partition("# written by skidsteer, SHA-256: ")
+    assert (told, bool(mark), len(digest)) == (yaml, True, 65)
 
 
-def test_replaces_an_older_drive_as_a_whole(folder: Path) -> None:
-    drive = read_folder(folder)
+def test_replaces_an_older_drive_of_its_own_as_a_whole(folder: Path, tmp_path: Path) -> None:
+    drive, copy = read_folder(folder), tmp_path / "copy"
+    write_folder(drive, copy)
     short = Drive("short", ROBOT, drive.wheels)
-    write_folder(short, folder)
-    assert sorted(path.name for path in folder.iterdir()) == ["vehicle.yaml", "wheels.csv"]
-    assert_same(read_folder(folder), short)
+    write_folder(short, copy)
+    assert sorted(path.name for path in copy.iterdir()) == ["vehicle.yaml", "wheels.csv"]
+    assert_same(read_folder(copy), short)
+
+
+@pytest.mark.parametrize("change", ["recorded", "wheels.csv", "vehicle.yaml", "unmarked", "other files", "added"])
+def test_replaces_no_drive_that_it_did_not_write(folder: Path, tmp_path: Path, change: str) -> None:
+    """Nor one that was written and then changed, nor one that a copied vehicle.yaml stands beside."""
+    drive, there = read_folder(folder), tmp_path / "there"
+    write_folder(drive, there)
+    if change == "recorded":
+        there = folder
+    elif change == "unmarked":
+        (there / "vehicle.yaml").write_text(FILES["vehicle.yaml"])
+    elif change == "other files":
+        (there / "wheels.csv").write_text(FILES["wheels.csv"] + "9.0,0.1,0.1\n")
+    elif change == "added":
+        (there / "cmdwheels.csv").write_text("t,v_left_cmd,v_right_cmd\n0.0,0.1,0.2\n")
+    else:
+        (there / change).write_text((there / change).read_text().replace("0.", "00.", 1))
+    before = {path.name: path.read_bytes() for path in there.iterdir()}
+    with pytest.raises(DataError, match="did not write; choose another folder, or --force to lose it"):
+        write_folder(drive, there)
+    assert {path.name: path.read_bytes() for path in there.iterdir()} == before
+    write_folder(drive, there, force=True)
+    assert_same(read_folder(there), drive)
 
 
 def test_fills_an_empty_folder(folder: Path, tmp_path: Path) -> None:

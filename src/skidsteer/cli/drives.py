@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare_file, spare_in
 from skidsteer.cli.words import DRIVE_HELP, FILTERS, GROUNDS, TERRAINS, Json, Profile, Seed, app, folder
 from skidsteer.sources import VEHICLES, Source, on_drives
 
@@ -36,6 +37,7 @@ def design(
     max_lateral: Annotated[float, typer.Option(metavar="M/S2", help="speed times yaw rate")] = 0.5,
     margin: Annotated[float, typer.Option(metavar="M", help="to keep from the edge of the area")] = 0.25,
     seed: Annotated[int, Seed] = 0,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Choose the drive that tells most of a robot. A table of commands, and the sigmas that it will give."""
@@ -43,12 +45,11 @@ def design(
     from skidsteer.identify.design import design_drive, make_request
     from skidsteer.identify.excursion import footprint_radius
     from skidsteer.identify.manoeuvres import Limits
-    from skidsteer.io.atomic import check_folder
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.command_table import write_commands, write_path, write_picture
     from skidsteer.io.folder import vehicle as find_vehicle
 
-    check_folder(out)
+    spare_in(out, ("commands.csv", "path.csv", "path.svg"), force)
     known = None if calibration is None else load_calibration(calibration)
     robot = None if vehicle is None else find_vehicle(vehicle)
     setup, request = make_request(
@@ -87,20 +88,21 @@ def odometry(
         float | None, typer.Option(metavar="S", help="learn slips from positions for S seconds, then lose them")
     ] = None,
     profile: Profile = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Where a robot drove: a trajectory with covariance. From wheels, gyro and reference, as they are there."""
     from skidsteer import console, documents
     from skidsteer.evaluation import remarks
-    from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.covariance_csv import write_covariances
     from skidsteer.io.tum import write_tum
     from skidsteer.odometry.phases import run_phases
     from skidsteer.odometry.run import OdometryOptions, run
 
-    for file in [out] if covariance is None else [out, covariance]:
-        check_file(file)
+    spare_file(out, force, "trajectory")
+    if covariance is not None:
+        spare_file(covariance, force, "covariances")
     options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
     known = load_calibration(calibration).profile(profile)
     with console.progress_bar() as report:
@@ -122,6 +124,7 @@ def odometry(
 def sample(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="which; none: list them")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write")] = None,
+    force: Force = False,
 ) -> None:
     """List the embedded drives, or write one as a drive folder."""
     from skidsteer.io.folder import write_folder
@@ -134,7 +137,7 @@ def sample(
         return
     drive = make(name.removeprefix("sample:"))
     target = out or Path(drive.name)
-    write_folder(drive, target)
+    write_folder(drive, target, force)
     typer.echo(f"written: {target}")
 
 
@@ -158,20 +161,22 @@ def simulate(
         str, typer.Option(metavar=GROUNDS, help=f"{TERRAINS}; and others from a time [s] on, or at a place [m]")
     ] = "lab",
     seed: Annotated[int, Seed] = 0,
+    force: Force = False,
 ) -> None:
     """Drive a simulated robot and write what its sensors record. As a drive folder."""
     from skidsteer import plants
     from skidsteer.errors import RequestError
     from skidsteer.io.commands import parse_manoeuvres, read_commands
+    from skidsteer.io.folder import check_replaceable, write_folder
     from skidsteer.io.folder import vehicle as find_vehicle
-    from skidsteer.io.folder import write_folder
     from skidsteer.terramechanics.terrain import parse_ground
 
     if (commands is None) == (manoeuvre is None):
         raise RequestError("give either --commands FILE or --manoeuvre S,V,OMEGA:...")
+    check_replaceable(out, force)
     robot = find_vehicle(vehicle)
     rims = parse_manoeuvres(manoeuvre or "", robot) if commands is None else read_commands(commands, robot)
     drive = plants.plant(plant)(out.name, robot, parse_ground(terrain), rims, plants.usual_sensors(robot), seed)
     folder(out.parent)
-    write_folder(drive, out)
+    write_folder(drive, out, force)
     typer.echo(f"written: {out}")

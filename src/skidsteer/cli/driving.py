@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare_in
 from skidsteer.cli.words import GROUNDS, TERRAINS, Json, Profile, Seed, app, folder
 from skidsteer.sources import VEHICLES
 
@@ -62,6 +63,7 @@ def follow(
     acceleration: Annotated[float, typer.Option(metavar="M/S2", help="limit of the rims [m/s^2]")] = math.inf,
     off: Annotated[float, typer.Option(metavar="M", help="from the path, where driving ends")] = 3.0,
     seed: Annotated[int, Seed] = 0,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Let a controller drive a simulated robot along a path. And show how well."""
@@ -73,12 +75,13 @@ def follow(
     from skidsteer.follow.run import summarize
     from skidsteer.follow.sensing import Sensing
     from skidsteer.follow.task import Belief, Task, believed, recorded_drive, run_task
-    from skidsteer.io.atomic import check_folder, write_files
+    from skidsteer.io.atomic import write_files
     from skidsteer.io.calibration_file import load_calibration
-    from skidsteer.io.folder import write_folder
+    from skidsteer.io.folder import check_replaceable, write_folder
     from skidsteer.terramechanics.terrain import parse_ground
 
-    check_folder(out)
+    spare_in(out, ("follow.json", "follow.html", "way.svg", "errors.svg"), force)
+    check_replaceable(out / "drive", force)
     if profile is not None and calibration is None:
         raise RequestError("--profile is of a calibration; give --calibration FILE, too")
     known = None if calibration is None else load_calibration(calibration).profile(profile)
@@ -119,6 +122,6 @@ def follow(
         "way.svg": way(run),
         "errors.svg": against_time(run, task.wheels.max_speed),
     }
-    write_folder(recorded_drive(out.name, task, run), folder(out) / "drive")
+    write_folder(recorded_drive(out.name, task, run), folder(out) / "drive", force)
     write_files(out, files)
     typer.echo(document if json else "\n".join([*told, f"written: {out}"]))

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare_file
 from skidsteer.cli.words import DRIVE_HELP, Profile, Window, app, positive
 from skidsteer.sources import Source, on_drives
 
@@ -33,17 +34,21 @@ def export(
     ] = None,
     window: Window = 2.0,
     profile: Profile = None,
+    force: Force = False,
 ) -> None:
     """A calibration for other software: ROS, a Pioneer, JSON. Parameters to paste, with what is lost in them."""
-    from skidsteer.export import Settings, force, text
+    from skidsteer.export import Settings, text
+    from skidsteer.export import force as as_multipliers
     from skidsteer.io.atomic import write_text
     from skidsteer.io.calibration_file import load_calibration
 
     positive(window, "--window")
+    if out is not None:
+        spare_file(out, force, "export")
     known = load_calibration(calibration).profile(profile)
     loaded = source.load(drives, known) if drives else []
     settings = Settings(controller, rate, icr_frame, source.words["imu_topic"] or "imu/data")
-    made = text(known, to, settings, force(known, loaded, window))
+    made = text(known, to, settings, as_multipliers(known, loaded, window))
     if out is None:
         typer.echo(made, nl=False)
         return

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare_in
 from skidsteer.cli.words import (
     DRIVE_HELP,
     MODELS,
@@ -56,16 +57,17 @@ def calibrate(
     profile: Annotated[
         list[str] | None, typer.Option(metavar="GROUND=DRIVE", help="a profile for each ground, in place of DRIVE...")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Calibrate a motion model from drives of one robot."""
     from skidsteer import console, documents
+    from skidsteer.export import FORMATS
     from skidsteer.identify.calibrate import calibrate_with_folds, make_options
     from skidsteer.identify.terrain import calibrate_profiles
-    from skidsteer.io.atomic import check_folder
 
     if out is not None:
-        check_folder(out)
+        spare_in(out, ("calibration.yaml", "report.html", *(file for file, _ in FORMATS.values())), force)
     if bool(drives) == bool(profile):
         raise typer.BadParameter("give drives, or --profile GROUND=DRIVE for each of them")
     if drives and (circles := source.circles(drives, model, method)) is not None:
@@ -163,6 +165,7 @@ def check(
     source: Source,
     fix: Annotated[bool, typer.Option("--fix", help="apply the safe cures, and write the drive to --out")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="drive folder to write the cured drive to")] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """What is wrong with a log, where, and the cure. And what it can tell of the robot."""
@@ -171,12 +174,14 @@ def check(
     from skidsteer.doctor import fix as cure
     from skidsteer.errors import RequestError
     from skidsteer.identify.calibrate import judge_drive
-    from skidsteer.io.folder import write_folder
+    from skidsteer.io.folder import check_replaceable, write_folder
 
     if fix != (out is not None):
         raise RequestError("--fix and --out DIR belong together")
     if out is not None and any(out.resolve() == Path(word).resolve() for word in drive):
         raise RequestError(f"{out}: --out must be another folder than the drive, which stays as it was recorded")
+    if out is not None:
+        check_replaceable(out, force)
     topics = source.topics(drive)
     loaded = source.load_one(drive)
     findings = examine(loaded)
@@ -184,7 +189,7 @@ def check(
     cures: tuple[str, ...] = ()
     if out is not None:
         cured, cures = cure(loaded, findings)
-        write_folder(cured, out)
+        write_folder(cured, out, force)
     if json:
         typer.echo(documents.to_json(documents.check_document(loaded, findings, topics, cures, verdict)))
     else:

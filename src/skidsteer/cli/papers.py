@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare, spare_in
 from skidsteer.cli.words import DRIVE_HELP, Json, Profile, Window, app, positive
 from skidsteer.sources import Source, on_drives
 
@@ -30,6 +31,7 @@ def reproduce(
             help=f"a real one beside Mandow's: {DRIVE_HELP}; default: that in $SKIDSTEER_DATA",
         ),
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """A paper's printed figures beside ours, with a verdict on each."""
@@ -38,6 +40,7 @@ def reproduce(
 
     names = papers.asked(paper)
     if out is not None:
+        spare_in(out, ("reproduction.md",), force)
         papers.prepare(out)
     with console.progress_bar() as report:
         real = papers.real_drive(names, drive)
@@ -78,6 +81,7 @@ def figure(
     restart: Annotated[float, typer.Option(metavar="S", help="begin dead reckoning anew this often; 0: never")] = 0.0,
     window: Window = 2.0,
     profile: Profile = None,
+    force: Force = False,
 ) -> None:
     """Draw a figure for a paper. Vector, to a column's width, the same file every time."""
     from skidsteer.figures.catalogue import FIGURES, entry, write_figure
@@ -89,7 +93,7 @@ def figure(
         return
     entry(name)
     path = out or Path(f"{name}.svg")
-    checked_suffix(path)
+    spare(path, force, checked_suffix(path))
     write_figure(name, _material(source, calibration, drive or [], model, show, restart, window, profile), path)
     typer.echo(f"written: {path}")
 

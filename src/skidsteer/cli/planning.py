@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare_in
 from skidsteer.cli.words import Json, Profile, app, folder
 
 
@@ -35,6 +36,7 @@ def plan(
         str, typer.Option(metavar="left|right", help="the robot turns to, round the obstacle")
     ] = "left",
     laps: Annotated[int, typer.Option(metavar="N", help="how often round")] = 1,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Wheel commands that drive a robot round an obstacle. And where it will end."""
@@ -45,6 +47,7 @@ def plan(
     from skidsteer.plan.picture import draw
     from skidsteer.plan.words import driver_of, rectangle
 
+    spare_in(out, ("commands.csv", "path.csv", "plan.json", "plan.svg"), force)
     driver = driver_of(calibration, circles, vehicle, profile)
     request = Request(rectangle(obstacle, "obstacle"), clearance, speed, curve_speed, radius, direction, laps)
     made = circumnavigate(driver, request, None if footprint is None else rectangle(footprint, "footprint"))

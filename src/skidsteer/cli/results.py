@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from skidsteer.cli.outputs import Force, spare_file
 from skidsteer.cli.words import DRIVE_HELP, Profile, Window, app, positive
 from skidsteer.sources import Source, on_drives
 
@@ -23,15 +24,15 @@ def report(
         bool, typer.Option("--fit-delay", help="find the time offset of foreign drives first")
     ] = False,
     profile: Profile = None,
+    force: Force = False,
 ) -> None:
     """One page on a calibration, and how it does on drives. Its own, held out, or others."""
     from skidsteer import console
     from skidsteer.identify.circle_calibration import METHOD
-    from skidsteer.io.atomic import check_file
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.report import gather, write_report
 
-    check_file(out)
+    spare_file(out, force, ".html")
     known = load_calibration(calibration).profile(profile)
     words, length = drives or [], positive(window, "--window")
     with console.progress_bar() as tell:

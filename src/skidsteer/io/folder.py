@@ -25,7 +25,7 @@ from skidsteer.laser.plate import Plate
 from skidsteer.se2 import FloatArray
 from skidsteer.vehicle import PRESETS, Vehicle
 
-__all__ = ["read_csv_files", "read_folder", "read_vehicle", "vehicle", "write_folder"]
+__all__ = ["check_replaceable", "read_csv_files", "read_folder", "read_vehicle", "vehicle", "write_folder"]
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,7 @@ COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {  # part of a drive -> its fi
 FILES = {part: file for part, (file, _) in COLUMNS.items()} | {"segments": "segments.csv"}
 READ = FILES | {"scans": SCANS_FILE}  # raw scans are read only: a folder that holds them is never replaced
 VEHICLE_FILE = "vehicle.yaml"
+MARK = "# written by skidsteer, SHA-256: "  # begins the last line of it, by which a written drive is known
 SEGMENT_COLUMNS = ("seg", "t_start", "t_end")
 
 LATEST_TIME = 1e11  # [s] after 1970: the year 5138, while milliseconds since 1970 passed it in 1973
@@ -115,15 +116,16 @@ def read_csv_files(
     return _assemble(name, ", ".join(map(str, paths)), {part: tables[part] for part in used}, vehicle, plate, otherwise)
 
 
-def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
+def write_folder(drive: Drive, path: str | os.PathLike[str], force: bool = False) -> None:
     """Write a drive folder that reads back to the last bit; nothing half-written is left if it fails.
 
-    An older drive folder of that name is replaced as a whole.
+    An older drive folder of that name is replaced as a whole where this function wrote it and nobody changed it since,
+    which the last line of ``vehicle.yaml`` tells; others, such as a recorded one, with ``force`` only.
 
     Raises:
-        DataError: the path is a file, or a folder with other things in it, or cannot be written to.
+        DataError: as ``check_replaceable``, or the folder cannot be written to.
     """
-    _refuse_to_replace(Path(path))
+    check_replaceable(path, force)
     files = {
         file: _series_text(series, columns)
         for part, (file, columns) in COLUMNS.items()
@@ -131,8 +133,30 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
     }
     if drive.segments is not None:
         files[FILES["segments"]] = _segments_text(drive.segments, drive.labels)
-    files[VEHICLE_FILE] = vehicle_text(drive.vehicle, drive.antenna)
+    robot = vehicle_text(drive.vehicle, drive.antenna)
+    files[VEHICLE_FILE] = robot + _mark({name: text.encode() for name, text in files.items()}, robot.encode())
     atomic.write_folder(path, files)
+
+
+def check_replaceable(path: str | os.PathLike[str], force: bool = False) -> None:
+    """Refuse a place where ``write_folder`` would not write; for before a long calculation.
+
+    Raises:
+        DataError: the path is a file, a folder with other things in it than a drive, or, without ``force``, a drive
+            that was not written by ``write_folder`` as it stands.
+    """
+    path = Path(path)
+    if not os.path.lexists(path):
+        return
+    names = names_in(path)
+    foreign = names - {*FILES.values(), VEHICLE_FILE}
+    if foreign or (names and FILES["wheels"] not in names):
+        held = listed(sorted(foreign or names))
+        raise DataError(f"{path}: is not just a drive, it holds {held}; choose another folder")
+    if names and not force and not _is_ours(path, names):
+        raise DataError(
+            f"{path}: holds a drive that skidsteer did not write; choose another folder, or --force to lose it"
+        )
 
 
 def _used(parts: Iterable[str], plate: Plate | None, where: str) -> list[str]:
@@ -249,14 +273,20 @@ def _folder_name(path: Path) -> str:
     return os.path.basename(os.path.realpath(path)) or str(path)
 
 
-def _refuse_to_replace(path: Path) -> None:
-    if not os.path.lexists(path):
-        return
-    names = names_in(path)
-    foreign = names - {*FILES.values(), VEHICLE_FILE}
-    if foreign or (names and FILES["wheels"] not in names):
-        held = listed(sorted(foreign or names))
-        raise DataError(f"{path}: is not just a drive, it holds {held}; choose another folder")
+def _is_ours(path: Path, names: set[str]) -> bool:
+    if VEHICLE_FILE not in names:
+        return False
+    contents = {name: read_bytes(path / name) for name in names}
+    robot, begin, told = contents.pop(VEHICLE_FILE).rpartition(MARK.encode())
+    return bool(begin) and begin + told == _mark(contents, robot).encode()
+
+
+def _mark(contents: Mapping[str, bytes], robot: bytes) -> str:
+    """The last line of ``vehicle.yaml``: the drive's files as they were written, and that file above the line."""
+    digest = hashlib.sha256(robot)
+    for name in sorted(contents):
+        digest.update(name.encode() + contents[name])
+    return f"{MARK}{digest.hexdigest()}\n"
 
 
 def _series_text(series: Series, columns: Sequence[str]) -> str:
