@@ -21,10 +21,10 @@ class Noise:
     """Standard deviations. The reference errs anew at each pose; the motion's error grows with the distance rolled.
 
     ``stamp`` is the scatter of the reference's time stamps: at speed it moves a pose along its own path.
-    The distance rolled is the mean of what the two rims rolled, so that a turn on the spot counts. The yaw slips with
-    how far the rims roll apart, half the difference: of a straight path ``turn`` counts a tenth alone. (On eight real
-    drives, docs/yaw-noise.md, that is far likelier than all of it; less is often likelier still, but a tenth leaves
-    room for what makes a straight path bend.)
+    The distance rolled is the mean of what the two rims rolled, so that a turn on the spot counts. The error of the yaw
+    grows with half the difference of what they rolled, and with a tenth of the distance rolled straight on. (On eight
+    real drives, docs/yaw-noise.md, that is far likelier than all of that distance; less is often likelier still, but a
+    tenth leaves room for what makes a straight path bend.)
     """
 
     position: float = 0.02  # [m] of a reference position, each axis
@@ -45,7 +45,7 @@ BOUNDS = Noise(1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4), Noise(1.0, 1.0, 0.5, 1.0, 2.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weights:
-    """Shares (k,) in (0, 1] that outliers keep: of the pose a window starts with, ends with, and of its motion."""
+    """Weights (k,) in (0, 1] left to outliers: the pose a window starts with, the one it ends with, its motion."""
 
     start: FloatArray
     end: FloatArray
@@ -57,7 +57,7 @@ class Weights:
         return cls(np.ones(count), np.ones(count), np.ones(count))
 
 
-yaw_path = roll.yaw_path  # [m] of two sides that roll
+yaw_path = roll.yaw_path  # [m] for the distances that both sides rolled
 
 AT_REST = 1e-9  # [m] rolled: no motion, but the decaying rest of a lag
 
@@ -68,11 +68,11 @@ class Residuals:
 
     windows: Windows
     residual: FloatArray  # (k, 3) in the frame of the start pose, yaw wrapped
-    paths: FloatArray  # (k, 3) [m] that the errors of x, y and yaw grow along, see ``paths_of``
+    paths: FloatArray  # (k, 3) [m] with which the errors of x, y and yaw grow, see ``paths_of``
     start_twist: FloatArray  # (k, 3) body twist at the start
     end_twist: FloatArray  # (k, 3) body twist at the end
-    gyro: FloatArray  # (k,) [rad] turn of the gyro less the predicted one; 0 where the gyro does not speak
-    gyro_time: FloatArray  # (k,) [s] that the gyro integrated; infinite where it does not speak
+    gyro: FloatArray  # (k,) [rad] turn of the gyro less the predicted one; 0 where there is none
+    gyro_time: FloatArray  # (k,) [s] that the gyro integrated; infinite where there is no turn of it
 
     def pose_covariances(self, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Covariance (k, 3, 3) of the reference's pose at the start and at the end, each in its body frame."""
@@ -88,13 +88,13 @@ class Residuals:
 
 
 def paths_of(cut: Steps) -> FloatArray:
-    """Paths (k, 3) [m] of windows that the motion's errors of x, y and yaw grow along; zero at rest."""
+    """Distances (k, 3) [m] in windows with which the motion's errors of x, y and yaw grow; zero at rest."""
     path = roll.paths(cut.distance, cut.offsets)
     return np.where(path[:, :1] > AT_REST, path, 0.0)[:, [0, 0, 1]]
 
 
 def paths_between(rims: Series, t: FloatArray) -> FloatArray:
-    """Paths (n - 1, 3) [m] as in ``paths_of``, between times (n,) [s] of rim speeds (m, 2) [m/s] that are held."""
+    """Distances (n - 1, 3) [m] as in ``paths_of``, between times (n,) [s], of held rim speeds (m, 2) [m/s]."""
     held = rims.values[:-1] * np.diff(rims.t)[:, None]
     grown = np.cumsum(roll.paths(held, np.arange(len(held) + 1)), axis=0)
     position, yaw = (np.diff(np.interp(t, rims.t, np.r_[0.0, column])) for column in grown.T)
@@ -111,7 +111,7 @@ def residuals(
         windows: with the measured motions.
         cut: their wheel samples.
         predicted: (k, 3) motion of the reference's sensor that the model predicts.
-        turned: (k,) turn that a gyro tells; NaN where it does not speak.
+        turned: (k,) turn measured by a gyro; NaN where there is none.
     """
     residual = windows.motion - predicted
     residual[:, 2] = wrap(residual[:, 2])
@@ -162,15 +162,15 @@ def fit_noise(
 ) -> Noise:
     """Maximum-likelihood noise for given residuals, kept off zero.
 
-    A short drive may be likeliest without any motion noise, which nobody believes: a density that grows with ``walk``
-    and ``turn`` (Chung et al. 2013, a gamma prior of shape 2) moves what is well known by next to nothing.
+    A short drive may be likeliest without any motion noise, which is not credible: a prior that grows with ``walk`` and
+    ``turn`` (Chung et al. 2013, gamma of shape 2) rules that out and hardly moves what the drive determines well.
 
     Args:
         parts: residuals of each drive.
         start: where the search begins.
         weights: of the outliers of each drive.
         restricted: what to minimise instead of the plain ``deviance``.
-        most: windows from the middle of each drive that the plain deviance is taken over.
+        most: number of windows, from the middle of each drive, that the plain deviance is summed over.
     """
     some, light = zip(*(_middle(p, w, most) for p, w in zip(parts, weights, strict=True)), strict=True)
     low, high = (np.log(astuple(b)) for b in BOUNDS)

@@ -20,11 +20,11 @@ SUBSTEPS = 10  # of a window, in which the motion noise enters
 
 
 def motion_covariance(motion: FloatArray, paths: FloatArray, noise: Noise) -> FloatArray:
-    """Covariance (k, 3, 3) that the motion noise adds up to over motions, in the body frame at their end.
+    """Covariance (k, 3, 3) that the motion noise accumulates over motions, in the body frame at their end.
 
     Args:
         motion: (k, 3) predicted motions.
-        paths: (k, 3) [m] that the errors of x, y and yaw grow along, see ``noise.paths_of``.
+        paths: (k, 3) [m] with which the errors of x, y and yaw grow, see ``noise.paths_of``.
         noise: its ``walk`` and ``turn``.
     """
     part = exp(log(motion) / SUBSTEPS)
@@ -45,9 +45,9 @@ def _transition(motion: FloatArray) -> FloatArray:
 
 
 def turn_effect(motion: FloatArray) -> FloatArray:
-    """Change (k, 3) of motions (k, 3), in the body frame at their end, by a yaw rate that is off by a share of itself.
+    """Change (k, 3) of motions (k, 3), in the body frame at their end, per relative error of the yaw rate.
 
-    Exact for a twist (u, w) held all through: p = int R(w s) u ds is the way made, and partial integration of
+    Exact for a constant twist (u, w): p = int R(w s) u ds is the displacement, and integration by parts of
     w dp/dw = int w s R'(w s) u ds gives R(w) u - p in the frame at the start.
     """
     back = invert(motion)
@@ -56,7 +56,7 @@ def turn_effect(motion: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """What a prediction of one drive may be wrong by: noise, and the covariance of what was estimated.
+    """By how much a prediction of one drive may be wrong: noise, and the covariance of what was estimated.
 
     ``covariance`` (p + 2, p + 2) is of the model's parameters, the time offset and the lag, in the order of
     ``windows.linearize``.
@@ -68,11 +68,11 @@ class Uncertainty:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
-    """Expected poses from a start, and the covariances of each in its own body frame, by what they come from."""
+    """Expected poses from a start, and the covariance of each in its own body frame, by source."""
 
     path: Series  # (n, 3)
     of_parameters: FloatArray  # (n, 3, 3) model and lag: the same error all along
-    of_turns: FloatArray  # (n, 3, 3) what turns are off by beside that: the same all along, too
+    of_turns: FloatArray  # (n, 3, 3) relative error of turns beyond that: the same all along, too
     of_motion: FloatArray  # (n, 3, 3) motion noise
 
     @property
@@ -92,7 +92,7 @@ def forecast(
         t: (n + 1,) [s] increasing, within those of the wheels; the robot is at the origin at the first.
         lag: [s] with which the body follows the rims.
         uncertainty: its time offset does not matter: times are those of the wheels.
-        turning: share of its turns that the model is off by all along, see ``Regions``.
+        turning: relative error of its turns, the same all along, see ``Regions``.
     """
     windows = Windows(t[:-1], t[1:], np.zeros((len(t) - 1, 3)), np.ones(len(t) - 1, bool))
     cut = steps(wheels, windows, Timing(0.0, lag))
@@ -111,7 +111,7 @@ def forecast(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
-    """How far measured end poses lie from predicted ones by their covariance C, and what a turn's share explains of it.
+    """How far measured end poses are from predicted ones by their covariance C, and how much of it turns explain.
 
     With the error e of an end pose and the effect g of a turn that is off (``turn_effect``): all (k,), NaN where the
     reference tells no pose.
@@ -159,8 +159,8 @@ def _rotation(yaw: FloatArray) -> FloatArray:
 class Regions:
     """Regions of the end pose that hold the share they claim: ellipsoids of a Student t, fitted to held-out distances.
 
-    What a model is wrong by at one operating point lasts as long as that: ``turning`` is the share of a turn that
-    predictions are off by all through it (standard deviation), beside what parameters and noise explain. Real errors
+    The error of a model at one operating point lasts as long as that does: ``turning`` is the relative error of a turn,
+    the same throughout it (standard deviation), beyond what parameters and noise explain. Real errors
     have heavier tails than a Gaussian, too: ``scale`` multiplies the predicted covariance with that of the turn,
     ``dof`` is the number of degrees of freedom (large: Gaussian).
     """
@@ -179,7 +179,7 @@ class Regions:
         return float(np.mean(squared <= self.limit(share))) if len(squared) else float("nan")
 
 
-LEAST_TOLD = 20  # held-out end poses, below which they tell no regions
+LEAST_TOLD = 20  # held-out end poses; from fewer no regions are fitted
 SHARES = np.linspace(0.5, 0.95, 10)  # whose quantiles the regions are fitted to
 DOFS = np.geomspace(1.0, 100.0, 200)
 NO_TURNING, MOST_TURNING = 1e-5, 0.5
@@ -198,9 +198,9 @@ def fit_regions(found: Distances) -> Regions | None:
 
 
 def fit_turning(found: Distances) -> float:
-    """Share of turns that predictions are off by all through them, by maximum likelihood of a Student t.
+    """Relative error of turns, the same throughout each of them, by maximum likelihood of a Student t.
 
-    0 where a likelihood-ratio test at 5 % (one-sided) does not ask for it.
+    0 where a likelihood-ratio test at 5 % (one-sided) does not call for it.
     """
 
     def cost(x: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Robots on their way, stepped from outside: what a closed loop drives. The plants' own begin in ``plants.begin``."""
+"""Robots stepped through time from outside: what a closed loop drives. ``plants.begin`` makes those of the plants."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class OverturnedError(RequestError):
 
 
 class Rolling(Protocol):
-    """A robot on its way. It remembers where it is: the one thing in a closed loop that does."""
+    """A robot stepped through time. It keeps its own state: the only thing in a closed loop that does."""
 
     state: FloatArray  # (8,) x, y [m], yaw [rad], v_x, v_y [m/s], omega [rad/s], left and right rim speed [m/s]
     power: FloatArray  # (3,) [W] mean over the last step: by the rims, lost by sliding, by rolling; NaN: not told
@@ -35,7 +35,7 @@ class Rolling(Protocol):
 
 
 class RollingModel:
-    """A motion model on its way; its rims follow what they are asked for. Exact where they change at once.
+    """A motion model stepped through time; its rims follow what they are asked for. Exact where they do so at once.
 
     Args:
         model: the truth.

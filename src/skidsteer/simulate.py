@@ -1,4 +1,4 @@
-"""A drive made by a model instead of a robot: wheel speeds in, a Drive with noisy, late sensors out. Simulation.
+"""Simulation: a model or plant in place of the robot; wheel speeds in, a Drive with noisy, late sensors out.
 
 A plant tells how the robot moved, as a `Motion`; what its sensors record of it is the same for every plant.
 """
@@ -19,11 +19,11 @@ from skidsteer.vehicle import Vehicle
 from skidsteer.windows import Mount, Timing, Windows, predict
 
 CENTRE = Mount()
-FASTEST = 20.0  # [m/s] of a rim: no skid-steer robot
+FASTEST = 20.0  # [m/s] of a rim; no skid-steer robot is faster
 MARGIN = 0.05  # [s] from the ends of the wheels' log to the first and the last reference
 
 
-CREDIBLE = {  # least and most of what a sensor may be told to do: beyond, a number is in another unit
+CREDIBLE = {  # least and most of each number; beyond, it is in another unit
     "reference_rate": (1e-3, 1e4, "Hz"),
     "position_sigma": (0.0, 10.0, "m"),
     "yaw_sigma": (0.0, np.pi, "rad"),
@@ -71,7 +71,7 @@ PLAIN = Sensors()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """How a plant moved: n times, in the frame where it began."""
+    """How a plant moved, at n times, in the frame of its start."""
 
     t: FloatArray  # (n,) [s]
     pose: FloatArray  # (n, 3) of base_link
@@ -80,7 +80,7 @@ class Motion:
     power: FloatArray  # (n, 3) [W] mean over the step before: by the rims, lost by sliding, by rolling; NaN: not told
 
     def held_rims(self) -> Series:
-        """Mean rim speeds (n - 1, 2) of each step, stamped with its begin: what perfect encoders tell."""
+        """Mean rim speeds (n - 1, 2) of each step, stamped with its start: what perfect encoders tell."""
         return Series(self.t[:-1], 0.5 * (self.rims[:-1] + self.rims[1:]), "wheels")
 
     def pose_at(self, t: FloatArray) -> FloatArray:
@@ -201,7 +201,7 @@ def _record(
 
 
 def _lost(t: FloatArray, sensors: Sensors, rng: np.random.Generator) -> np.ndarray:
-    """Which references (n,) do not come: stretches of random length; the first and the last always do."""
+    """Which references (n,) are lost: stretches of random length, but never the first or the last."""
     lost = np.zeros(len(t), bool)
     if sensors.lost_share <= 0.0:
         return lost
@@ -225,7 +225,7 @@ def _gyro(rims: Series, yaw: Callable[[FloatArray], FloatArray], sensors: Sensor
 
 
 def _encoders(rims: Series, sensors: Sensors) -> Series:
-    """Rim speeds as counts of an encoder tell them: the rolled distance rounded to whole counts, differentiated."""
+    """Rim speeds as an encoder measures them: the rolled distance rounded to whole counts, differentiated."""
     step, rate = sensors.encoder_step, sensors.encoder_rate
     if step == 0.0 and rate == 0.0:
         return rims
@@ -260,13 +260,13 @@ def rims_from_manoeuvres(
 
 
 def controller(vehicle: Vehicle) -> Differential:
-    """How the robot's own controller turns v and omega into rim speeds: by its factory width, or else its track's."""
+    """How the robot's own controller turns v and omega into rim speeds: by its factory or else track width."""
     width = (vehicle.factory_separation or vehicle.track_width) * (vehicle.factory_multiplier or 1.0)
     return Differential(width)
 
 
 def refuse_fast(vehicle: Vehicle, commands: Series) -> None:
-    """Refuse rim speeds (n, 2) [m/s] that the wheels of a vehicle cannot reach, or of no robot where that is unknown.
+    """Refuse rim speeds (n, 2) [m/s] that a vehicle, or where its limit is unknown any robot, cannot reach.
 
     Raises:
         RequestError: one of them is beyond ``max_wheel_speed``, or they are not of two sides.

@@ -14,12 +14,12 @@ from skidsteer.kernels import rollout as kernels
 from skidsteer.models import MatrixModel, Model
 from skidsteer.se2 import FloatArray, between, compose, invert, rotate, wrap
 
-MAX_GAP = 1.0  # [s] without a wheel sample: nothing is known of the motion beyond
-LEAP, LEAP_TURN = 0.5, np.radians(45.0)  # [m], [rad] steps of a reference that are smaller may be noise
-FASTER, SCATTER = 3.0, 0.3  # times the wheels at their fastest, [s] of the stamps: no motion of the robot
-FROZEN, CATCH_UP = 1e-3, 2.0  # [m] a step that is smaller; [s] for which a reference freezes
-RARE = 0.05  # share of the steps
-FAR = 1000.0  # [m] a single wrong sample so far off is cut out: it would spoil all numbers
+MAX_GAP = 1.0  # [s] without a wheel sample; over a longer gap nothing is known of the motion
+LEAP, LEAP_TURN = 0.5, np.radians(45.0)  # [m], [rad]; smaller steps of a reference may be noise
+FASTER, SCATTER = 3.0, 0.3  # times the fastest wheel speed; [s] that stamps may be off by. Beyond, no robot moves
+FROZEN, CATCH_UP = 1e-3, 2.0  # [m] smaller steps are none; [s] for which a reference may freeze
+RARE = 0.05  # share of the steps that may be leaps
+FAR = 1000.0  # [m] a single wrong sample this far off is cut out: it would spoil every figure
 LATEST = 1.5  # [s] by which the reference may be late or early
 USUAL = 3.0  # times the median increment: longer ones are gaps
 WARM_UP = 1.0  # [s] the first sample after a gap is held backwards, for windows that a delay moves before it
@@ -29,7 +29,7 @@ CHUNK = 200_000  # steps handled at once for models that are not linear in the s
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How the reference lies against the wheels in time, [s].
+    """Timing of reference and body relative to the wheels, [s].
 
     ``time_offset``: the reference's stamps are late by this (negative: early). ``lag``: time constant with which the
     body follows the measured rim speeds.
@@ -116,10 +116,10 @@ def _common(spans: FloatArray, others: FloatArray) -> FloatArray:
 def leaps(drive: Drive) -> FloatArray:
     """Times (k, 2) [s] of the samples before and after each step of the reference that is no motion of the robot.
 
-    A localization that starts anew, another fix: a step of ``LEAP`` and ``FASTER`` times more than the wheels at their
-    fastest about then make in that time, or since the reference last moved, for one that froze catches up; in yaw, more
+    A localization that restarts, another fix: a step above ``LEAP`` plus ``FASTER`` times what the wheels at their
+    fastest around then roll in that time (or since the reference last moved: one that froze catches up); in yaw, more
     than they turn without slip. Two in a row are one wrong sample, which an estimator weighs down, unless it is ``FAR``
-    off: a fix at (0, 0) among map coordinates. None is told where they are not rare: a unit is wrong instead.
+    off: a fix at (0, 0) among map coordinates. Where leaps are not rare, none is returned: a unit is wrong instead.
     """
     reference, wheels = drive.reference, drive.wheels
     if reference is None or len(reference) < 2:
@@ -139,7 +139,7 @@ def leaps(drive: Drive) -> FloatArray:
 
 
 def _fastest(wheels: Series, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Highest speed of a side, and difference of both (k,) [m/s], that the wheels told between times (k,) [s]."""
+    """Highest speed of a side, and largest difference of both (k,) [m/s], in the wheel log between times (k,) [s]."""
     sizes = np.stack([np.abs(wheels.values).max(axis=1), np.abs(np.diff(wheels.values, axis=1)[:, 0])], axis=-1)
     first, last = np.searchsorted(wheels.t, start), np.searchsorted(wheels.t, end)
     top = np.array([sizes[max(a - 1, 0) : b + 1].max(axis=0) for a, b in zip(first, last, strict=True)])
@@ -148,7 +148,7 @@ def _fastest(wheels: Series, start: FloatArray, end: FloatArray) -> tuple[FloatA
 
 
 def _time_to_move(t: FloatArray, moves: np.ndarray) -> FloatArray:
-    """Time (n - 1,) [s] from the last sample that moved to the end of each step, and what the stamps may be off by."""
+    """Time (n - 1,) [s] from the last sample that moved to the end of each step, plus what the stamps may be off by."""
     last = np.maximum.accumulate(np.where(moves, np.arange(1, len(t)), 0))
     since = t[1:] - t[np.r_[0, last[:-1]]]
     return np.asarray(np.minimum(since, np.diff(t) + CATCH_UP) + SCATTER)
@@ -161,16 +161,16 @@ def stretches(t: FloatArray) -> FloatArray:
 
 
 def covered(t: FloatArray, start: FloatArray, end: FloatArray) -> np.ndarray:
-    """Whether a clock t (n,) has samples, without a gap, all through each of the times start to end (k,)."""
+    """Whether a clock t (n,) has samples, without a gap, throughout each of the times start to end (k,)."""
     stretch = stretches(t)
     index = np.clip(np.searchsorted(stretch[:, 0], start, side="right") - 1, 0, None)
     return np.asarray((stretch[index, 0] <= start) & (end <= stretch[index, 1]))
 
 
 def increment_windows(drive: Drive, spacing: float = 0.0, longest: float = 5.0) -> Windows:
-    """Windows between neighbouring samples of the reference at least ``spacing`` [s] apart; none above ``longest``.
+    """Windows between neighbouring samples of the reference at least ``spacing`` [s] apart, none above ``longest``.
 
-    Where the reference comes so rarely that most would be, none above ``USUAL`` times their median.
+    Where the reference is so sparse that most would be longer, none above ``USUAL`` times their median.
     Where the reference tells no heading, the yaw of the motions is zero and their positions are along the axes of the
     reference. Where a gyro is all there is, windows of ``TURN_SPACING`` or more follow each other on its clock.
     """
@@ -238,7 +238,7 @@ def _inside(t: FloatArray, piece: FloatArray) -> np.ndarray:
 
 
 def _thinned(t: FloatArray, index: np.ndarray, spacing: float) -> np.ndarray:
-    """Every index whose time is at least ``spacing`` after the last one kept; the very last is kept where it fits."""
+    """Every index whose time is at least ``spacing`` after the last one kept; the very last is kept if it fits."""
     if spacing <= 0.0 or len(index) < 2:
         return index
     kept, clock = [int(index[0])], t[index]
@@ -269,14 +269,14 @@ class Steps:
 
 
 def steps(wheels: Series, windows: Windows, timing: Timing, slopes: bool = True) -> Steps:
-    """Cut the wheel log (held speeds, behind the lag) at the ends of windows moved by the time offset.
+    """Cut the wheel log (held speeds, lagged) at the ends of windows shifted by the time offset.
 
     Without ``slopes``, ``by_lag`` is (0, 2): it costs as much memory as the distances, and only ``linearize`` needs it.
     """
     t, v, restart = _warmed_up(wheels)
     start, end = windows.start - timing.time_offset, windows.end - timing.time_offset
     first, offsets = roll.count_steps(t, start, end)
-    # NumPy allocates large arrays in huge pages; the compiler's np.empty does not, and would wait for the kernel.
+    # NumPy allocates large arrays in huge pages; the compiler's np.empty does not, and would wait for the page faults.
     count, k = int(offsets[-1]), len(start)
     cut = Steps(
         distance=np.empty((count, 2)),
@@ -295,7 +295,7 @@ def steps(wheels: Series, windows: Windows, timing: Timing, slopes: bool = True)
 
 
 def _warmed_up(wheels: Series) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Wheel samples with the first one after each gap held backwards; True where the time before is unknown."""
+    """Wheel samples, the first after each gap held backwards too, and whether the time before each is unknown."""
     t, v = wheels.t, np.ascontiguousarray(wheels.values)
     if roll.count_gaps(t, MAX_GAP) == 0:
         return t, v, np.zeros(len(t), bool)
@@ -319,7 +319,7 @@ def predict(model: Model, wheels: Series, windows: Windows, timing: Timing) -> F
 
 
 def linearize(model: Model, cut: Steps) -> tuple[FloatArray, FloatArray]:
-    """Motion (k, 3) of cut windows, and its derivative (k, 3, p + 2) by parameters, time offset and lag."""
+    """Motion (k, 3) of cut windows, and its derivative (k, 3, p + 2): parameters, time offset, lag."""
     start = model.twist(cut.start_speeds[:, 0], cut.start_speeds[:, 1])
     end = model.twist(cut.end_speeds[:, 0], cut.end_speeds[:, 1])
     if isinstance(model, MatrixModel):
@@ -364,7 +364,7 @@ def seen_by(mount: Mount, motion: FloatArray, jacobian: FloatArray) -> tuple[Flo
     """Motions (k, 3) of the body and their derivative (k, 3, p) as a sensor sees them.
 
     Returns:
-        motion (k, 3) and derivative (k, 3, p + 3); the last three columns are by x, y and yaw of the mount.
+        motion (k, 3) and derivative (k, 3, p + 3); the last three columns: x, y and yaw of the mount.
     """
     lever, back = np.array([mount.x, mount.y]), np.full(len(motion), -mount.yaw)
     yaw = motion[:, 2]

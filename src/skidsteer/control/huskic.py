@@ -100,7 +100,7 @@ class Huskic:
         return 0.5 * (error.x_e**2 + error.y_e**2) + weight * abs(math.sin(e)) / self.gains.lam
 
     def _deviation(self, error: PathError, icr_x: float) -> tuple[float, float, float]:
-        """E = theta_e - delta [rad], and the derivatives of delta by y_e and s [rad/m]."""
+        """E = theta_e - delta [rad], and the derivatives of delta with respect to y_e and s [rad/m]."""
         approach = Approach(self.gains.theta_a, self.approach_length)
         steady, by_s = steady_heading(icr_x, error) if self.feed_forward else (0.0, 0.0)
         e = wrapped(error.theta_e - approach.angle(error.y_e, steady))

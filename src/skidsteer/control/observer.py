@@ -12,9 +12,9 @@ where ``side`` is the velocity of the origin to the left. Tyres and soft ground 
 lateral acceleration. That moves the ICR ahead by k speed^2 and lets the body follow with the time constant k speed: the
 side slip of ``models.ScheduledIcr``, in time. The sharper the turn, the more they yield (``give``) and the more speed
 is lost (``loss``). The larger the slip angle, the less the ground resists turning (``ease``): the robot oversteers. At
-low speed the ICR model is left.
+low speed the ICR model remains.
 
-The states of the slip wander, and return in time to what the calibration says. Everything is seen in the direction of
+The slip states wander, and return in time to what the calibration says. Everything is expressed in the direction of
 driving.
 """
 
@@ -33,11 +33,11 @@ from skidsteer.se2 import FloatArray
 
 Triple = tuple[float, float, float]
 
-MEMORY = 20.0  # [s] time constant with which the slip returns to the usual one
+MEMORY = 20.0  # [s] time constant with which the slip returns to its usual values
 JUMP = 8.0  # sigmas of a pose beyond which the map has leapt
 STIFFEST = 0.01  # [s^2/m] initial compliance where the model has none
 USUAL_EASE = 0.7  # initial, of any robot
-# initial standard deviations, and what a second adds to them at an agility of 1
+# initial standard deviations, and their growth in a second at an agility of 1
 FIRST_SLIP = np.array([0.05, 0.05, 0.1, 0.01, 0.1, 0.05, 0.1])  # side, scale, loss, turn, icr_x, compliance, give
 WANDER_SLIP = np.array([0.035, 0.05, 0.055, 0.002, 0.03, 0.0135, 0.033])
 FIRST_TURN = np.array([0.01, 0.1, 0.1, 0.3])  # omega, gain, drift, ease
@@ -80,7 +80,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """Properties of sensors and wheels, and the filters with them.
+    """The filters, with the properties of sensors and wheels that they are given.
 
     Raises:
         ValueError: a lag or delay below 0, or a sigma or agility that is not above 0.
@@ -113,10 +113,10 @@ class Observer:
         """The estimate after a step.
 
         Args:
-            before: the estimate before it.
-            pose: received after it, ``delay`` old; None: none came.
-            speed: [m/s] of the rims after it.
-            omega: [rad/s] measured after it.
+            before: the estimate before the step.
+            pose: received at its end, ``delay`` old; None: none came.
+            speed: [m/s] of the rims at its end.
+            omega: [rad/s] measured at its end.
             dt: [s] duration.
             asked: [rad/s] yaw rate commanded in it.
         """

@@ -1,4 +1,4 @@
-"""What all controllers share: the place on the path, the errors there, and the interface.
+"""What all controllers share: the position on the path, the errors there, and the interface.
 
 A path in reverse is driven with the rear ahead. Seen from the rear the robot drives forward: its speed and icr_x change
 sign, its yaw rate does not. The laws are written for that view, so that driving in reverse mirrors driving ahead.
@@ -24,7 +24,7 @@ STEEPEST = 0.95  # upper bound of icr_x c: at 1 the ICR lies ahead by the radius
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathState:
-    """A path and the arc length at which its moving frame is: the nearest point, or the target of a Lyapunov law."""
+    """A path and the arc length of its moving frame: the nearest point, or the target of a Lyapunov law."""
 
     path: Path
     s: float  # [m]
@@ -54,7 +54,7 @@ class PathState:
         return self.remaining <= ARRIVED
 
     def projected(self, pose: ArrayLike, twist: ArrayLike, dt: float) -> PathState:
-        """At the nearest point of the path, looked for about where it was: ``Controller.advance`` without a target."""
+        """At the nearest point of the path, searched around the last one: ``Controller.advance`` without a target."""
         (x, y, _), _ = finite("pose", pose), finite("twist", twist)
         return replace(self, s=self.path.project((x, y), near=self.s)) if elapsed(dt) > 0.0 else self
 
@@ -66,7 +66,7 @@ class PathError(NamedTuple):
     y_e: float  # [m] to its left
     theta_e: float  # [rad] by which the direction of driving is turned to the left of the tangent, in [-pi, pi)
     curvature: float  # [1/m]
-    slope: float  # [1/m^2] of the curvature by arc length
+    slope: float  # [1/m^2] of the curvature along the path
 
 
 Command = tuple[float, float]  # v [m/s], omega [rad/s]
@@ -169,7 +169,7 @@ def elapsed(dt: float) -> float:
 
 
 def steady_heading(icr_x: float, error: PathError) -> tuple[float, float]:
-    """Heading error [rad] with which the origin stays on a curve, and its slope [rad/m] by arc length.
+    """Heading error [rad] with which the origin stays on a curve, and its slope [rad/m] along the path.
 
     With v_y = -icr_x omega the origin stays on the path where sin(theta_e) = icr_x (c + dtheta_e / ds): its solution
     to second order in icr_x. Proposition 1 of Huskić 2017, theta_e = 0, holds on straights, or for icr_x = 0.
@@ -190,7 +190,7 @@ def turn_within(v: float, omega: float, omega_max: float) -> tuple[float, float]
 
 
 def braked(speed: float, remaining: float, deceleration: float) -> float:
-    """The speed [m/s], or the one from which a deceleration [m/s^2] stops it within the way that remains [m]."""
+    """The speed [m/s], or the one from which a deceleration [m/s^2] stops it within the distance that remains [m]."""
     return min(speed, math.sqrt(2.0 * deceleration * max(remaining, 0.0)))
 
 

@@ -36,15 +36,15 @@ from skidsteer.paths import Path
 from skidsteer.se2 import FloatArray
 
 APPROACH = 1.0  # [m] from the path at which the heading that leads back to it is 76 % of theta_a
-FACING, FACED = math.radians(75.0), math.radians(20.0)  # off that heading: turns on the spot, until it is so near
-BEHIND = math.radians(150.0)  # off it, beyond which it keeps the side to which it already turns
+FACING, FACED = math.radians(75.0), math.radians(20.0)  # off that heading: turns on the spot, until this close
+BEHIND = math.radians(150.0)  # off it, beyond which it keeps turning to the same side
 SPIN = 1.5  # [rad/s] at most on the spot
 SLOW = 0.1  # [m/s] at which the calibration's icr_x is that of low speed
 BEND = 0.2  # [1/m] curvature at which the rim speeds are linearised
 END = 0.5  # [s] of cost that the last row stands for
 STAGES = 60  # of a plan, at most
 WAY = 3.0  # least length of a plan over reach and icr_x: turning moves the origin to the wrong side first
-NEAR = 0.5  # share of a plan whose slip counts: its last stages are never driven
+NEAR = 0.5  # share of a plan, from its start, whose slip counts: its last stages are never driven
 LEAST_PACE, RECOVERY = 0.3, 0.5  # least share of the profile; share of the acceleration with which it returns to it
 ITERATIONS, TOLERANCE = 4, 1e-4  # of the search; share of the cost that a further one must promise to save
 
@@ -188,7 +188,7 @@ class Predictive:
         return replace(state, plan=plan, next=ask, turning=False, iterations=iterations, pace=pace)
 
     def _pace(self, state: PredictiveState, rows: FloatArray) -> float:
-        """Share of the profile after a plan of these rows; slip that a turn has at any speed does not count."""
+        """Share of the profile to drive after a plan of these rows; slip that a turn has at any speed is left out."""
         near = rows[: 1 + math.ceil(NEAR * len(state.plan))]
         beyond = near[:, stage.SIDE] + state.estimate.now[slip.ICR_X] * near[:, stage.OMEGA]
         slips = np.abs(beyond) / np.maximum(near[:, stage.SPEED], stage.SLOWEST)

@@ -17,9 +17,9 @@ from skidsteer.paths import Path
 from skidsteer.se2 import FloatArray
 
 STEP = 0.1  # [m] between the points of a profile
-JUST = 1e-6  # [m] before and behind them, where the curvature may jump
+JUST = 1e-6  # [m] before and after them, where the curvature may jump
 RESERVE = 0.7  # share of the rims' acceleration that the profile uses; the rest is for control
-HEADROOM = 0.95  # the same, of their speed
+HEADROOM = 0.95  # share of their speed, likewise
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,18 +36,18 @@ class PurePursuit:
     lookahead_time: float = 1.5  # [s] of driving to look ahead
     use_velocity_scaled_lookahead_dist: bool = False
     use_regulated_linear_velocity_scaling: bool = True
-    regulated_linear_scaling_min_radius: float = 0.9  # [m] of turns sharper than which it slows down
-    regulated_linear_scaling_min_speed: float = 0.25  # [m/s] that the regulation leaves
+    regulated_linear_scaling_min_radius: float = 0.9  # [m] in sharper turns it slows down
+    regulated_linear_scaling_min_speed: float = 0.25  # [m/s] below which the regulation does not slow it down
     use_fixed_curvature_lookahead: bool = False
     curvature_lookahead_dist: float = 1.0  # [m] at which the regulation looks for turns, if fixed
-    approach_velocity_scaling_dist: float = 1.0  # [m] before the end, from which on it slows down
+    approach_velocity_scaling_dist: float = 1.0  # [m] from the end, within which it slows down
     min_approach_linear_velocity: float = 0.05  # [m/s]
     use_rotate_to_heading: bool = True
     rotate_to_heading_min_angle: float = 0.785  # [rad] to the point ahead, beyond which it turns on the spot
     rotate_to_heading_angular_vel: float = 1.8  # [rad/s]
     max_angular_accel: float = 3.2  # [rad/s^2] of turning on the spot
     controller_frequency: float = 20.0  # [Hz]
-    xy_goal_tolerance: float = 0.25  # [m] before the end, where it stops
+    xy_goal_tolerance: float = 0.25  # [m] from the end, within which it stops
 
     def __post_init__(self) -> None:
         require_positive(self, *(name for name in self.__slots__ if not name.startswith("use_")))
@@ -132,6 +132,6 @@ def lookahead_point(state: PathState, pose: tuple[float, float, float], distance
 
 
 def arc_curvature(x: float, y: float) -> float:
-    """Curvature [1/m] of the arc from the robot to a point x ahead and y to the left [m]; 0 to where it stands."""
+    """Curvature [1/m] of the arc from the robot to a point x ahead and y to the left [m]; 0 if it is at the robot."""
     squared = x**2 + y**2
     return 2.0 * y / squared if squared > 0.0 else 0.0

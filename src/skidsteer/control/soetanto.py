@@ -1,8 +1,8 @@
 """SLPINL: Soetanto, Lapierre, Pascoal 2003, with the speed of Indiveri, Nüchter, Lingemann 2007.
 
-What Huskić 2017 compares with. For a unicycle dV1/dt = -k1 x_e^2 - k2 e^2 / gamma + y_e v sin(delta), no term of which
-is positive, with V1 = (x_e^2 + y_e^2) / 2 + e^2 / (2 gamma) and e = theta_e - delta. The law does not know icr_x: where
-that is not 0 it has an offset on curves.
+The law that Huskić 2017 compares with. For a unicycle dV1/dt = -k1 x_e^2 - k2 e^2 / gamma + y_e v sin(delta), no term
+of which is positive, where V1 = (x_e^2 + y_e^2) / 2 + e^2 / (2 gamma) and e = theta_e - delta. The law does not know
+icr_x: where that is not 0 it has an offset on curves.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class Wheels:
         return np.clip(self.model.wheel_speeds(scale * v, scale * omega), -self.max_speed, self.max_speed)
 
     def _within(self, rim: float) -> float:
-        """Within the limit, whatever the rounding."""
+        """Clipped to the limit, so that rounding does not exceed it."""
         return min(max(rim, -self.max_speed), self.max_speed)
 
     def _scale(self, v: float, omega: float, guess: float) -> float:
@@ -115,7 +115,7 @@ class Wheels:
 
 @dataclass(frozen=True, slots=True)
 class SaturationSpeed:
-    """Huskić 2017, Eq. (17), made continuous: as fast as the wheels can on the path, slower while far from it."""
+    """Huskić 2017, Eq. (17), made continuous: as fast as the wheels allow on the path, slower while far from it."""
 
     wheels: Wheels
     desired: float = math.inf  # [m/s] upper limit

@@ -28,7 +28,7 @@ class Approach:
         return steady - self.theta_a * math.tanh(y_e / self.length)
 
     def slope(self, y_e: float) -> float:
-        """Its derivative [rad/m] by y_e."""
+        """Its derivative [rad/m] with respect to y_e."""
         return -self.theta_a / self.length * (1.0 - math.tanh(y_e / self.length) ** 2)
 
 
@@ -47,15 +47,15 @@ def turn_with_target(
         v: [m/s] in the direction of driving.
         icr_x: [m] ahead of the origin in that direction.
         k1: [1/s] of the target.
-        by_y: derivative [rad/m] of delta by y_e.
-        by_s: derivative [rad/m] of delta by the arc length.
+        by_y: derivative [rad/m] of delta with respect to y_e.
+        by_s: derivative [rad/m] of delta with respect to the arc length.
 
     Returns:
         (a [rad/s], b) with s' of Eq. (10), and with s' = 0.
     """
     cos, sin = math.cos(error.theta_e), math.sin(error.theta_e)
     stands = by_y * v * sin, -by_y * icr_x * cos  # y_e', Eq. (7)
-    turn = error.curvature + by_s - by_y * error.curvature * error.x_e  # of each metre of s
+    turn = error.curvature + by_s - by_y * error.curvature * error.x_e  # per metre of s
     moves = stands[0] + turn * (v * cos + k1 * error.x_e), stands[1] + turn * icr_x * sin
     return moves, stands
 

@@ -108,7 +108,7 @@ def _residual(
     r: FloatArray,
     J: FloatArray,
 ) -> float:
-    """What is missing in the equations of motion at the end of an implicit Euler step, its Jacobian and its size.
+    """Residual of the equations of motion at the end of an implicit Euler step, its Jacobian and its norm.
 
     ``before`` (5,) is z at the start, ``wanted`` (2,) [m/s^2] the acceleration that the speed loop asks of both rims.
     """

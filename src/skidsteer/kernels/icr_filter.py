@@ -1,8 +1,8 @@
 """One step of the filter whose states are pose, parameters and gyro bias: ``odometry.icr_filter``.
 
 State x: x, y [m], yaw [rad], the q free parameters, and with a gyro its bias [rad/s]; covariance P. ``memory`` holds
-what is no random state: rim speeds behind the lag, what the last step turned, the tale of refused references. All is
-done in place.
+what is not random: the lagged rim speeds, the turn of the last step, the record of refused references. All is done in
+place.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ REFUSED_FLAG, ACCEPTED_FLAG, ANCHORED_FLAG, UNUSED_FLAG = 0, 1, 2, -1
 
 
 class Scratch(NamedTuple):
-    """Room to work in, so that no step allocates any."""
+    """Working memory, so that no step allocates any."""
 
     theta: FloatArray  # (p,) all parameters as the state has them
     twist: FloatArray  # (3,)
@@ -131,7 +131,7 @@ def predict(
 
 @njit(cache=True, error_model="numpy")
 def _kept(memory: FloatArray, settings: FloatArray, rolled: float) -> float:
-    """How much of their deviation the parameters keep in a step: exp(-distance / reach); nothing on fresh ground."""
+    """Share of their deviation that the parameters keep in a step: exp(-distance / reach); 0 on fresh ground."""
     if memory[FRESH] > 0.0:
         memory[FRESH] = 0.0
         return 0.0
@@ -154,7 +154,7 @@ def _roll(
     """Write change of the pose and its derivative by the free parameters into the room.
 
     Returns:
-        Paths [m] that the errors of the position and of the yaw grow along.
+        Distances [m] with which the errors of the position and of the yaw grow.
     """
     lag, free = setup.settings[LAG], setup.free
     if lag == 0.0 or math.isnan(memory[LEFT]):

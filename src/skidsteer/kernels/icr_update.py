@@ -160,7 +160,7 @@ def _wrapped(angle: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _seen_covariance(P: FloatArray, H: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Covariance (n, r) of the state with what is foreseen, P H^T, and (r, r) of the innovation, H P H^T + R."""
+    """Covariance of state and expected measurement, P H^T (n, r), and that of the innovation, H P H^T + R (r, r)."""
     n, r = len(P), len(H)
     C, S = np.zeros((n, r)), R.copy()
     for k in range(r):
@@ -300,7 +300,7 @@ def _since(now: FloatArray, before: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def _anchor(x: FloatArray, P: FloatArray, innovation: FloatArray, R: FloatArray, lever: FloatArray) -> None:
-    """Put pose or position where the reference sees it, as if nothing had been known of it; all else stays."""
+    """Set pose or position to where the reference sees it, as if nothing had been known of it; all else stays."""
     r, n = len(innovation), len(x)
     turned = innovation[2] if r == 3 else 0.0
     c, s = math.cos(turned), math.sin(turned)

@@ -20,7 +20,7 @@ def decay(dt: float, lag: float) -> float:
 def cascade(dt: float, first: float, second: float) -> float:
     """Share of a deviation from the end value behind the first lag that dt [s] later stands behind the second one, too.
 
-    In the beginning there is none behind the second one.
+    At the start there is none behind the second one.
     """
     if first <= 0.0:
         return 0.0
@@ -31,7 +31,7 @@ def cascade(dt: float, first: float, second: float) -> float:
 
 @njit(cache=True)
 def mean_share(dt: float, lag: float) -> float:
-    """Weight of the end value in the mean over dt [s] of what decays with a lag; the rest is that of the begin."""
+    """Weight of the end value in the mean over dt [s] of what decays with a lag; the rest is that of the start."""
     x = dt / lag if lag > 0.0 else math.inf
     if x > LONG:
         return 1.0 - 1.0 / x

@@ -1,4 +1,4 @@
-"""The wheel log cut at the ends of windows: what each side rolled in each step, behind a first-order lag."""
+"""The wheel log cut at the ends of windows: what each side rolled in each step, after a first-order lag."""
 
 from __future__ import annotations
 
@@ -196,19 +196,19 @@ def roll_lagged(
         end_speeds[w, 1] = v[at + 1, 1] if anew else v[at, 1] + cr * decay
 
 
-STRAIGHT = 0.1  # share of a straight metre in the error of the yaw
+STRAIGHT = 0.1  # share of the distance rolled straight that counts for the error of the yaw
 
 
 @njit(cache=True, inline="always")
 def yaw_path(left: float, right: float) -> float:
-    """Path [m] that the error of the yaw grows along: how far the sides roll apart, and a share of what is straight."""
+    """Distance [m] with which the error of the yaw grows: how far the sides roll apart, and a share of the rest."""
     rolled, apart = 0.5 * (abs(left) + abs(right)), 0.5 * abs(right - left)
     return apart + STRAIGHT * (rolled - apart)
 
 
 @njit(cache=True)
 def paths(distance: FloatArray, offsets: np.ndarray) -> FloatArray:
-    """Paths (k, 2) [m] of each window: the mean of what both sides roll (s, 2) [m] either way, and that of the yaw."""
+    """Distances (k, 2) [m] of windows: the mean of what both sides roll (s, 2) [m] either way, and ``yaw_path``."""
     out = np.zeros((len(offsets) - 1, 2))
     for w in range(len(out)):
         for i in range(offsets[w], offsets[w + 1]):

@@ -1,4 +1,4 @@
-"""A motion model driven through one step of time, its rims behind a first-order lag and a limit of acceleration."""
+"""A motion model driven through one step of time, its rims with a first-order lag and limited acceleration."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def _roll_tile(
     motion: FloatArray,
     J: FloatArray,
 ) -> None:
-    """Motion (m, 3) and derivative (m, 3, 7) of the m windows of a tile: side by side, or one by one where they must.
+    """Motion (m, 3) and derivative (m, 3, 7) of the m windows of a tile: side by side, or one by one where they cannot.
 
     ``state`` and ``tile`` (longest window, 4 * LANES) are room to work in.
     """
@@ -245,7 +245,7 @@ def linearize_matrix(
 
 @njit(cache=True)
 def _slide(motion: FloatArray, start: FloatArray, end: FloatArray, out: FloatArray) -> None:
-    """Derivative (3,) of a motion (3,) by the time offset: a window that slides gains at its start, loses at its end.
+    """Derivative (3,) of a motion (3,) by the time offset: a shifted window gains at one end and loses at the other.
 
     From T(a, b): dT/db is the body twist at b turned by the yaw of T, dT/da is minus that at a, moved to the end.
     """

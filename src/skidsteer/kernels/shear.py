@@ -44,7 +44,7 @@ def wheel_force(
         across: (m, 2) nodes from the middle, in patch widths, and weights.
 
     Returns:
-        (3, 5) F_x, F_y, moment about the origin; then their derivatives by v_x, v_y, omega and rim.
+        (3, 5) F_x, F_y, moment about the origin; then their derivatives with respect to v_x, v_y, omega and rim.
     """
     out = np.zeros((3, 5))
     forward = 1.0 if rim >= 0.0 else -1.0

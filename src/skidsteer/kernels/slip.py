@@ -1,4 +1,4 @@
-"""Two Kalman filters of a sliding robot: where it is, from poses that come late; and how it turns, from a gyro.
+"""Two Kalman filters for a sliding robot: where it is, from poses that come late; and how it turns, from a gyro.
 
 Equations and names are those of ``control.observer``. Seen in the direction of driving; all is done in place.
 """
@@ -28,7 +28,7 @@ GREATEST_EASE = 1.6  # with the steepest slip angle it leaves a third of the res
 
 @njit(cache=True)
 def roll(x: FloatArray, dt: float, v: float, omega: float, F: FloatArray) -> None:
-    """Move x (10,) by dt with a told speed and yaw rate; F (10, 10) is the derivative by x before."""
+    """Move x (10,) by dt at a measured speed and yaw rate; F (10, 10) is the derivative with respect to x before."""
     turn = x[TURN_SCALE] * omega
     sharp = min(abs(turn) / max(abs(v), SLOWEST), SHARPEST)
     speed, k = (x[SCALE] + x[LOSS] * sharp) * v, x[COMPLIANCE] + x[GIVE] * sharp
@@ -63,7 +63,7 @@ def roll(x: FloatArray, dt: float, v: float, omega: float, F: FloatArray) -> Non
     F[X, YAW], F[Y, YAW], F[YAW, TURN_SCALE] = -dy, dx, omega * dt
     F[X, TURN_SCALE] -= dy * 0.5 * omega * dt
     F[Y, TURN_SCALE] += dx * 0.5 * omega * dt
-    if sharp < SHARPEST:  # what turns more loses more of its way, and gives way more
+    if sharp < SHARPEST:  # the sharper the turn, the more speed is lost and the more the ground yields
         sharper = abs(omega) / max(abs(v), SLOWEST)
         for i in (X, Y, SIDE):
             F[i, TURN_SCALE] += sharper * (x[LOSS] * F[i, SCALE] + x[GIVE] * F[i, COMPLIANCE])
@@ -77,7 +77,7 @@ def roll(x: FloatArray, dt: float, v: float, omega: float, F: FloatArray) -> Non
 def predict(
     x: FloatArray, P: FloatArray, dt: float, v: float, omega: float, Q: FloatArray, usual: FloatArray, memory: float
 ) -> None:
-    """Prediction; what tells of the slip comes back to what is usual (10,) within a memory [s]; Q (10,) a second."""
+    """Prediction; the slip states return to the ``usual`` (10,) within a memory [s]; variance Q (10,) a second."""
     F = np.empty((STATES, STATES))
     roll(x, dt, v, omega, F)
     kept = decay(dt, memory)
@@ -133,7 +133,7 @@ def late(
     """Bring x and P to ``delay`` [s] before now, update them by a pose (3,) of then, and roll it forward to now (10,).
 
     Args:
-        x: in and out, (10,) at the begin of the steps.
+        x: in and out, (10,) at the start of the steps.
         P: in and out, (10, 10).
         steps: (n, 3) dt [s], v, omega as told; oldest first. A step that is used in part is shortened.
         delay: of the pose.
@@ -188,7 +188,7 @@ def turn(
         t: in and out.
         P: in and out.
         dt: [s] of the step.
-        rims: [rad/s] asked for, behind the lag of the rims, at its begin.
+        rims: [rad/s] asked for, behind the lag of the rims, at its start.
         asked: [rad/s] held in it.
         lag: [s] of the rims.
         body_lag: [s] of the body behind them.

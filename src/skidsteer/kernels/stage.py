@@ -26,8 +26,8 @@ Y, THETA, SIDE, OMEGA, RIMS, ASKED, S, SPEED, SPEED_ASKED = range(9)
 STEERED, ROW = 6, 9
 U = STEERED  # column of the input in a Jacobian (6, 7)
 CROWDED = 0.2  # least 1 - c y: nearer to the centre of curvature the path is taken for this
-SLOWEST = 0.2  # [m/s] below which directions of motion are told as at that speed
-SHARPEST, STEEPEST = 1.5, 0.4  # [1/m] of curvature, [rad] of slip angle, up to which the ground gives way the more
+SLOWEST = 0.2  # [m/s] below which directions of motion are taken as at this speed
+SHARPEST, STEEPEST = 1.5, 0.4  # [1/m] of curvature, [rad] of slip angle, beyond which the ground yields no further
 
 # Places in ``body``: stage and period of commands, the slip as ``control.observer`` tells it, wheels
 STEP, PERIOD, LAG, SCALE, LOSS, ICR_X, COMPLIANCE, GIVE, GAIN, DRIFT, EASE = range(11)
@@ -51,7 +51,7 @@ def profile_at(profile: FloatArray, length: float, closed: bool, s: float) -> fl
 
 @njit(cache=True)
 def held_share(body: FloatArray) -> float:
-    """Share of a stage's change of what is asked for that is there on average: commands are held for a period each."""
+    """Share of a stage's change of command that is in force on average: commands are held for a period each."""
     return float(0.5 * (1.0 + body[PERIOD] / body[STEP]))
 
 
@@ -105,7 +105,7 @@ def move(
     after: FloatArray,
     D: FloatArray,
 ) -> None:
-    """The row (9,) at the end of a stage, where its speeds stand already, and the Jacobian D (6, 7); ``at`` is room."""
+    """The row (9,) at the end of a stage, whose speeds are set already, and the Jacobian D (6, 7); ``at`` is room."""
     h = body[STEP]
     point(knots, closed, row[S], at)
     sharp = min(abs(at[3]), SHARPEST)
@@ -181,7 +181,7 @@ def _slide(row: FloatArray, v: float, sharp: float, body: FloatArray, after: Flo
 
 @njit(cache=True)
 def _course(row: FloatArray, body: FloatArray) -> tuple[float, float, float]:
-    """Sine of the angle between the way of the origin and the path, and its derivatives by THETA and SIDE."""
+    """Sine of the angle between the motion of the origin and the path, and its derivatives by THETA and SIDE."""
     v = max(body[SCALE] * row[SPEED], SLOWEST)
     cos, sin, share = math.cos(row[THETA]), math.sin(row[THETA]), row[SIDE] / v
     return sin + share * cos, cos - share * sin, cos / v

@@ -28,7 +28,7 @@ def _slip(mean: FloatArray, slips: FloatArray, where: np.ndarray, i: int) -> flo
 def twist(
     mean: FloatArray, C: FloatArray, slips: FloatArray, where: np.ndarray, track: float, D: FloatArray
 ) -> tuple[float, float, float]:
-    """Speed, yaw rate, mean size of the rim speeds; out: derivative D (2, n) by the state."""
+    """Speed, yaw rate, mean magnitude of the rim speeds; out: derivative D (2, n) with respect to the state."""
     left = C[0, 0] * mean[POSE] + C[0, 1] * mean[POSE + 1]
     right = C[1, 0] * mean[POSE] + C[1, 1] * mean[POSE + 1]
     tau_left, tau_right = 1.0 - _slip(mean, slips, where, 0), 1.0 - _slip(mean, slips, where, 1)
@@ -160,7 +160,7 @@ def observe(
     patience: float,
     taken: np.ndarray,
 ) -> float:
-    """Take both encoder observations into the state in place, but what the compatibility test excludes.
+    """Take both encoder observations into the state in place, except what the compatibility test excludes.
 
     Args:
         mean: (n,) state.

@@ -35,7 +35,7 @@ def twist_of(
 
     Args:
         kind: from ``KINDS``.
-        track: [m] width that the model holds fixed; of no effect in the others.
+        track: [m] width that the model holds fixed; not used by the others.
         theta: (p,) all parameters of the model, in their order.
         left: [m/s].
         right: [m/s].

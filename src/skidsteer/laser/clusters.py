@@ -13,8 +13,8 @@ from skidsteer.se2 import FloatArray
 
 GRAZING = math.radians(12.0)  # least angle between ray and surface at which its points stay together
 MISSING = 3  # rays in a row that may fail within a surface
-APART = 7.0  # sigmas by which neighbouring points of a surface may differ: five of their difference
-FEWEST_BEFORE = 3  # points of an object that hides another; fewer are stray
+APART = 7.0  # sigmas by which neighbouring points of a surface may differ: five sigmas of their difference
+FEWEST_BEFORE = 3  # points of an object that can hide another; fewer are stray
 SPIKE = 6.0  # sigmas of a ray off the mean of its two neighbours
 
 
@@ -35,7 +35,7 @@ class Clusters:
         return self.first + self.count - 1
 
     def where(self, keep: BoolArray) -> Clusters:
-        """Those clusters that a mask (c,) chooses."""
+        """The clusters chosen by a mask (c,)."""
         points = np.repeat(keep, self.count)
         count = self.count[keep]
         return Clusters(

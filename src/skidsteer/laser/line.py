@@ -1,8 +1,8 @@
 """Straight lines through clusters of laser points, well conditioned in every direction.
 
-Wang 2015, Eqs. (31)-(35), fits y = k x + a. The slope is not defined for a line along y, and is biased towards 0 before
-that by the noise of x. Here total least squares gives the start, and least squares along the rays, where the noise is,
-the result: r = d / cos(bearing - normal), with d the distance of the line from the scanner.
+Wang 2015, Eqs. (31)-(35), fits y = k x + a. The slope is not defined for a line along y, and near that is biased
+towards 0 by the noise of x. Here total least squares gives the start, and least squares along the rays, where the noise
+is, the result: r = d / cos(bearing - normal), with d the distance of the line from the scanner.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Points:
 
     @property
     def clusters(self) -> int:
-        """How many there are."""
+        """Number of clusters."""
         return int(self.cluster[-1]) + 1 if self.cluster.size else 0
 
     def total(self, values: FloatArray | BoolArray) -> FloatArray:
@@ -103,7 +103,7 @@ def _is_sound(distance: FloatArray, cofactor: FloatArray) -> BoolArray:
 
 
 def _residuals(points: Points, normal: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Range minus that of the line (k,), and the derivatives of the latter by normal and distance."""
+    """Range minus that of the line (k,), and the derivatives of the latter with respect to normal and distance."""
     slant = points.bearing - normal[points.cluster]
     by_distance = 1.0 / np.cos(slant)
     expected = distance[points.cluster] * by_distance

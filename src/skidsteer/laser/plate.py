@@ -25,9 +25,9 @@ ROUND = 1.5  # sigmas of the residuals beyond which a surface is not flat
 STRAIGHT_SHARE = 0.8  # of the points of a cluster that must lie on its line
 ROUGH_SHARE = 0.25  # of the width by which the chord of a cluster may differ before a line is fitted
 FEW_SCANS = 100  # from which the noise on the plate is estimated
-COARSER = (1.0, 3.0, 10.0)  # noise on the plate, over that elsewhere, that is tried
+COARSER = (1.0, 3.0, 10.0)  # ratios of the noise on the plate to that elsewhere that are tried
 CUT_OFF = 0.5 * math.sin(GRAZING)  # cosine of the largest slant of a ray on a plate, on the safe side
-CHUNK = 256  # scans at a time: their points stay in the cache
+CHUNK = 256  # scans at a time, so that their points stay in the cache
 NOTHING, NO_PLATE, CUT, SEVERAL, SEEN = range(5)
 _SHOWN = (
     "nothing",
@@ -94,7 +94,7 @@ class Sightings:
         return math.sqrt(self.square_sum.sum() / max(1, self.points.sum() - 2 * len(self.points)))
 
     def tally(self) -> str:
-        """In how many scans the plate was seen, and what the others show."""
+        """Number of scans in which the plate was seen, and what the others show."""
         number = np.bincount(self.status, minlength=5).tolist()
         rest = ", ".join(f"{n} show {what}" for n, what in zip(number, _SHOWN, strict=False) if n)
         return f"the plate is seen in {number[SEEN]} of {len(self.status)} scans" + (f" ({rest})" if rest else "")

@@ -1,4 +1,4 @@
-"""2D laser scanners and what they record.
+"""2D laser scanners and their scans.
 
 The scanner's frame is REP-103's: x ahead, y left, bearings counter-clockwise from x.
 """
@@ -13,10 +13,10 @@ import numpy as np
 from skidsteer.errors import DataError
 from skidsteer.se2 import FloatArray
 
-EVEN = 0.05  # of a step, by which the steps between bearings may differ
+EVEN = 0.05  # share of a step by which the steps between bearings may differ
 LEAST_NOISE = 0.0005  # [m] of any scanner
 NEAREST, FARTHEST = 0.001, 1e4  # [m] ranges of any scanner
-LOOKED_AT = 200  # scans, from which the noise is estimated
+LOOKED_AT = 200  # number of scans from which the noise is estimated
 
 
 @dataclass(frozen=True, slots=True)

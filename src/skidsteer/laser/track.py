@@ -73,8 +73,7 @@ def track_plate(
         scans: of one scanner at rest; several groups where it changed its bearings.
         plate: on the robot. Its ``side`` decides which face is seen at first.
         wheels: (n, 2) v_left, v_right [m/s] on the clock of the scans. They decide where the side is not given, and
-        after
-            the plate was out of sight for more than ``BRIDGE``.
+            after the plate was out of sight for more than ``BRIDGE``.
         rate: [Hz] to about which scans are averaged; infinity: not at all.
 
     Raises:
@@ -94,7 +93,7 @@ def track_plate(
 
 
 def _near_neighbours(found: Sightings) -> BoolArray:
-    """Whether a robot could be where each sighting (k,) is, by the median of those around it."""
+    """Whether a robot could be at each sighting (k,), judged by the median of those around it."""
     around = np.lib.stride_tricks.sliding_window_view(
         np.pad(np.column_stack([found.t, found.pose[:, :2]]), ((NEIGHBOURS, NEIGHBOURS), (0, 0)), mode="edge"),
         2 * NEIGHBOURS + 1,
@@ -123,7 +122,7 @@ def _followed(t: FloatArray, direction: FloatArray) -> tuple[FloatArray, IntArra
 
 
 def _oriented(track: Track, plate: Plate, wheels: Series | None) -> tuple[Track, list[str]]:
-    """The track with the right face, without the stretches for which nothing decides it, and a note on those."""
+    """The track by the right face, without the stretches for which nothing decides that, and a note on those."""
     turns = [_half_turn(track.stretch_of(k), plate, wheels, k == 0) for k in range(track.stretch[-1] + 1)]
     known = np.array([turn is not None for turn in turns])[track.stretch]
     if not known.any():

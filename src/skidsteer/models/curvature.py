@@ -4,7 +4,7 @@ The treads' ICRs lie at +-B chi / 2, with
 
     chi = 1 + a / (1 + b sqrt|lambda|),   lambda = (v_l + v_r) / (v_r - v_l)     Eqs. (44), (13)
 
-so that omega = (v_r - v_l) / (B chi), Eqs. (11), (15); the 2 B chi printed in Eqs. (46), (47) is a slip. Here chi is
+so that omega = (v_r - v_l) / (B chi), Eqs. (11), (15); the 2 B chi printed in Eqs. (46), (47) is wrong. Here chi is
 written as a ratio that needs no lambda and stays finite on a straight,
 
     chi = 1 + a p / (p + b q),   p = sqrt|v_r - v_l|,   q = sqrt|v_l + v_r|
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from skidsteer.models.model import Model, Parameter
 from skidsteer.se2 import FloatArray
 
-CREEP = 0.02  # [m/s] slower is standing still
+CREEP = 0.02  # [m/s] slower counts as standing still
 ITERATIONS = 60  # each at least halves the error
 
 
@@ -48,9 +48,9 @@ def icr_coefficient(path_curvature: ArrayLike, a: float, b: float) -> FloatArray
 class Curvature(Model):
     """Three parameters: Wang's a and b, Eq. (44), and the scale factor of the rims.
 
-    Wang corrects the distances of the sides by straight runs beforehand, Eq. (42); here that factor is ``alpha``. The
-    model is symmetric about the origin, and like a constant ICR knows the ratio of the speeds only: chi remains almost
-    constant with speed, Wang 2015, Fig. 12 (b).
+    Wang first corrects the rolled distances by straight runs, Eq. (42); here that factor is ``alpha``. The
+    model is symmetric about the origin and, like a constant ICR, depends on the ratio of the speeds only: chi is almost
+    independent of speed, Wang 2015, Fig. 12 (b).
     """
 
     NAME: ClassVar[str] = "curvature"

@@ -19,7 +19,7 @@ from skidsteer.se2 import FloatArray
 class Icr(MatrixModel):
     """Five parameters, Mandow 2007, Eqs. (2)-(7): where each tread stands still on the ground, and two scale factors.
 
-    A reference sensor whose place on the robot is unknown by (l_x, l_y) shifts icr_x by l_x and both icr_y by l_y: the
+    A reference sensor mounted (l_x, l_y) from where it is taken to be shifts icr_x by l_x and both icr_y by l_y:
     motion alone cannot tell the two apart.
     """
 

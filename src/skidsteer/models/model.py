@@ -44,7 +44,7 @@ class Model(ABC):
     NAME: ClassVar[str]
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
     OPTIONAL: ClassVar[tuple[str, ...]] = ()  # parameters that stay nominal unless the drive supports them
-    CRABS: ClassVar[bool] = False  # may move sideways when driving straight, as a turned sensor sees it, too
+    CRABS: ClassVar[bool] = False  # may crab on a straight, which looks like a sensor mounted at an angle
 
     @abstractmethod
     def twist(self, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:

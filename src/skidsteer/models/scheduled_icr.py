@@ -7,11 +7,11 @@ With v, omega of the constant ICR (Mandow 2007, Eqs. (2)-(7)) and D = icr_y_left
     v_y    = -icr_x omega' - side_slip v omega / (1 + slip_fade |v|)
 
 ``side_slip``: pushed outwards by the lateral acceleration v omega, the robot slips to the outside of the turn;
-``slip_fade``: less so, for its acceleration, the faster it drives.
+``slip_fade``: less so, at the same acceleration, the faster it drives.
 ``turn_loss``: the faster it turns, the more of the rolled distance is lost. ``straight_gain``: tyres that slip more
 lengthwise than sideways resist turning less, so that the treads' ICRs move inwards as the path gets straighter (Wang
-2015, 5.3): none of it on the spot, half on a circle of radius D, where Wang's lambda, Eq. (13), is 2.
-``load_gain``: the same, the more of its weight leans on the outer side. At low speed all but ``straight_gain`` vanish.
+2015, 5.3): not at all on the spot, half of it on a circle of radius D, where Wang's lambda, Eq. (13), is 2.
+``load_gain``: so they do as more weight leans on the outer side. At low speed all but ``straight_gain`` vanish.
 Read as ICRs: icr_x moves ahead with the speed, the treads' ICRs move inwards with speed and radius.
 """
 
@@ -27,9 +27,9 @@ from skidsteer.models.icr import Icr
 from skidsteer.models.model import Model, Parameter
 from skidsteer.se2 import FloatArray
 
-CREEP = 0.02  # [m/s] slower is standing still
+CREEP = 0.02  # [m/s] slower counts as standing still
 LEAN = 3.0  # [m/s^2] lateral acceleration at which half of the load gain is reached
-STEPS = 12  # Newton's, of which it rarely takes more than five
+STEPS = 12  # of Newton's method, which rarely takes more than five
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class ScheduledIcr(Model):
 
     @property
     def constant(self) -> Icr:
-        """The constant ICR that this goes over into at low speed."""
+        """The constant ICR that this tends to at low speed."""
         return Icr(self.icr_y_left, self.icr_y_right, self.icr_x, self.alpha_left, self.alpha_right)
 
     def twist(self, v_left: ArrayLike, v_right: ArrayLike) -> FloatArray:  # noqa: D102
@@ -94,7 +94,7 @@ class ScheduledIcr(Model):
         return np.asarray(1.0 + self.slip_fade * np.abs(v))
 
     def _slopes(self, v: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Derivatives of v_x by v and omega of the constant ICR, and of omega' by both."""
+        """Derivatives of v_x and of omega' with respect to v and omega of the constant ICR."""
         loss, square, a = 1.0 + self.turn_loss * omega**2, self._square(v, omega), np.abs(v * omega)
         by_a = self.load_gain * LEAN / (LEAN + a) ** 2
         by_v = 2.0 * self.straight_gain * v * (square - v**2) / square**2
@@ -107,7 +107,7 @@ class ScheduledIcr(Model):
         )
 
     def _by_constant(self, v: FloatArray, omega: FloatArray) -> FloatArray:
-        """Derivative (..., 3, 2) of the twist by v and omega of the constant ICR."""
+        """Derivative (..., 3, 2) of the twist with respect to v and omega of the constant ICR."""
         x_by_v, x_by_omega, turn_by_v, turn_by_omega = self._slopes(v, omega)
         fade = self._fade(v)
         rows = (
@@ -150,7 +150,7 @@ class ScheduledIcr(Model):
         """Rim speeds (..., 2) [m/s] that give v_x = v and omega, by Newton's method; NaN where it finds none."""
         v, omega = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(omega, dtype=float))
         most_v = v * (1.0 + self.turn_loss * omega**2)  # the loss lowers the speed, by no more than that
-        least_omega = omega / (1.0 + self.straight_gain + self.load_gain)  # nor do the gains raise the yaw rate further
+        least_omega = omega / (1.0 + self.straight_gain + self.load_gain)  # the gains raise the yaw rate, likewise
         limits_v, limits_omega = _ordered(v, most_v), _ordered(least_omega, omega)
         inner_v, inner_omega, size = v, omega, 1.0 + np.hypot(v, omega)
         for _ in range(STEPS):
@@ -167,7 +167,7 @@ class ScheduledIcr(Model):
     def _miss(
         self, inner_v: FloatArray, inner_omega: FloatArray, v: FloatArray, omega: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """What v_x and omega' miss those asked for by, at v and omega of the constant ICR."""
+        """By how much v_x and omega' miss those asked for, at v and omega of the constant ICR."""
         return (
             inner_v / (1.0 + self.turn_loss * inner_omega**2) - v,
             inner_omega * self._gain(inner_v, inner_omega) - omega,

@@ -4,9 +4,9 @@ The slipping ratio K_s = (1 - i_i) / (1 - i_o) of the two sides tells the radius
 
     R = B/2 (v_o + K_s v_i) / (v_o - K_s v_i)     Eq. (15)
 
-This is a description of runs, not a motion model, and stands in no list of models: with a constant K_s other than 1 the
-yaw rate jumps where the sides change their parts (K_s = 1 is an ideal drive), so that equal speeds turn the robot, left
-or right at will, and above v_i = v_o / K_s it would turn to the wrong side. The paper's own runs show it: with the 2.5
+This is a description of runs, not a motion model, and is in no list of models: with a constant K_s other than 1 (an
+ideal drive) the yaw rate jumps where the sides swap roles, so that equal speeds would turn the robot, left or right
+alike, and above v_i = v_o / K_s it would turn to the wrong side. The paper's own runs show it: with the 2.5
 that K_s settles at indoors, run 1L (0.632 and 0.410 m/s) would curve to the right. K_s is constant in tight curves
 only; a plan takes it from the runs about as wide as the arc (``skidsteer.plan.slip_table``).
 
@@ -34,7 +34,7 @@ Side = Literal["left", "right"]
 def turn_radius(v_outer: ArrayLike, v_inner: ArrayLike, slip_ratio: ArrayLike, track_width: float) -> FloatArray:
     """Radius (...) [m] of the centre's circle, Eq. (15); infinite where v_outer = slip_ratio v_inner.
 
-    It is negative where the robot would curve to the side that is taken for the outer one.
+    Negative where the robot would curve towards the supposed outer side.
     """
     outer, dragged = np.asarray(v_outer, dtype=float), np.asarray(slip_ratio, dtype=float) * np.asarray(v_inner)
     outer, dragged = np.broadcast_arrays(outer, dragged)
@@ -44,7 +44,7 @@ def turn_radius(v_outer: ArrayLike, v_inner: ArrayLike, slip_ratio: ArrayLike, t
 
 
 def slip_ratio(v_outer: ArrayLike, v_inner: ArrayLike, radius: ArrayLike, track_width: float) -> FloatArray:
-    """K_s (...) of a measured radius [m], Eq. (15) solved for it; negative where the circle is inside the robot.
+    """K_s (...) from a measured radius [m], Eq. (15) solved for it; negative for a radius below half the track width.
 
     Raises:
         ValueError: an inner side at rest: every ratio gives the same circle.
@@ -56,7 +56,7 @@ def slip_ratio(v_outer: ArrayLike, v_inner: ArrayLike, radius: ArrayLike, track_
 
 
 def slip_ratio_from_slips(slip_inner: ArrayLike, slip_outer: ArrayLike) -> FloatArray:
-    """K_s (...) of slip coefficients (shares, not per cent), Eq. (14).
+    """K_s (...) from slip coefficients (fractions, not per cent), Eq. (14).
 
     Raises:
         ValueError: an outer side that spins on the spot, slip 1.
@@ -68,7 +68,7 @@ def slip_ratio_from_slips(slip_inner: ArrayLike, slip_outer: ArrayLike) -> Float
 
 
 def slip_coefficient(rim: ArrayLike, ground: ArrayLike) -> FloatArray:
-    """Slip i (...), a share: 1 less speed over ground by rim speed, Eq. (22). Negative: dragged.
+    """Slip i (...), a fraction: 1 - ground speed / rim speed, Eq. (22). Negative: dragged.
 
     Raises:
         ValueError: a rim at rest.
@@ -95,7 +95,7 @@ def radius_of_arc(
         radius (...) [m] and sigma (...) [m], to first order.
 
     Raises:
-        DataError: lengths that are not positive, or a chord longer than the diameter, which is a sagitta above it.
+        DataError: lengths that are not positive, or a chord longer than the diameter: a sagitta longer than the chord.
     """
     l, x = np.broadcast_arrays(np.asarray(chord, dtype=float), np.asarray(sagitta, dtype=float))  # noqa: E741
     _refuse_no_arc(l, x)
@@ -125,7 +125,7 @@ def rims_on_circle(
         omega: (...) [rad/s], counter-clockwise positive.
         slip_ratio: K_s of a circle of about that radius.
         track_width: [m].
-        slip_outer: slip coefficient of the outer side, a share.
+        slip_outer: slip coefficient of the outer side, a fraction.
 
     Raises:
         ValueError: radius, ratio or slip that no robot can drive with.
@@ -196,17 +196,17 @@ class CircleRun:
 
     @property
     def outer(self) -> float:
-        """Size of the rim speed of the outer side [m/s]."""
+        """Magnitude of the rim speed of the outer side [m/s]."""
         return max(abs(self.v_left), abs(self.v_right))
 
     @property
     def inner(self) -> float:
-        """Size of the rim speed of the inner side [m/s]."""
+        """Magnitude of the rim speed of the inner side [m/s]."""
         return min(abs(self.v_left), abs(self.v_right))
 
     @property
     def path_curvature(self) -> float:
-        """Size of Wang's lambda, Eq. (13) there: the factor of Eq. (12)."""
+        """Magnitude of lambda of Wang 2015, Eq. (13): the factor of Eq. (12)."""
         return (self.outer + self.inner) / (self.outer - self.inner)
 
     @property
@@ -219,13 +219,13 @@ class CircleRun:
         return track_width / (2.0 * self.icr_y)
 
     def slip_ratio(self, track_width: float) -> float | None:
-        """K_s, Eq. (15); None where the inner side is at rest, which leaves it open."""
+        """K_s, Eq. (15); None where the inner side is at rest, which leaves it undetermined."""
         return None if self.inner == 0.0 else float(slip_ratio(self.outer, self.inner, self.radius, track_width))
 
     def slip_coefficients(self, track_width: float) -> tuple[float | None, float] | None:
-        """Slip of the inner and the outer side, shares, Eqs. (13), (22); None where no speed was measured.
+        """Slip of the inner and the outer side, fractions, Eqs. (13), (22); None where no speed was measured.
 
-        That of an inner side at rest is None: what does not roll has no share of it.
+        That of an inner side at rest is None: Eq. (22) divides by its rim speed.
         """
         if self.speed is None:
             return None

@@ -1,6 +1,6 @@
 """Transfer factors of both sides, Thalmann 2016, section 2.4, after the slip ratios of Endo 2007 and Nagatani 2008.
 
-The displayed Eqs. (6)-(8) are lost in the scan at hand; this is what the text leaves no choice about. With the slip
+The displayed Eqs. (6)-(8) are lost in the scan at hand; these follow from the text without ambiguity. With the slip
 ratio a_i of side i, the effective speed over ground of that side is
 
     v_i,eff = (1 - a_i) v_i = tau_i v_i                                  Eq. (6)
@@ -11,10 +11,10 @@ and the ideal differential drive with effective in place of rim speeds,
 
 Thalmann sets one factor to 1 and calls the other 1 - d: d is the slip ratio of the right side where that of the left
 one is zero. In place of the track width B, the effective one, B / chi, is used, with Mandow's steering efficiency index
-chi (1: no lateral slip), in which the yaw rate is linear; for chi = 1 these are Thalmann's equations.
+chi (1: no lateral slip); the yaw rate is linear in it, and for chi = 1 these are Thalmann's equations.
 
 The model is Mandow's five-parameter one with icr_x = 0 and ICRs that lie symmetrically, +-B / (2 chi): it belongs to
-the filters and stands in no list of models to choose from.
+the filters and is in no list of models to choose from.
 """
 
 from __future__ import annotations

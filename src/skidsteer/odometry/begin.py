@@ -1,4 +1,4 @@
-"""The initial state of a filter in a log: at the origin, or where the reference sees the robot."""
+"""The initial state of a filter for a log: at the origin, or where the reference sees the robot."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def icr(calibration: Calibration, gyro: bool) -> Filter:
 
 
 def frozen(calibration: Calibration, gyro: bool) -> Filter:
-    """The parameters stay as calibrated; what they may be wrong by is in the covariance."""
+    """The parameters stay as calibrated; their uncertainty is in the covariance."""
     return IcrFilter.of(calibration, gyro, FilterOptions(adapt=False))
 
 

@@ -2,11 +2,11 @@
 
 States: pose of base_link, the parameters that the calibration found (five for the ICR model), and with a gyro its bias.
 
-- *Motion*: the calibrated model, exact on SE(2), driven by rim speeds behind the calibrated lag. The two lagged speeds
-  are deterministic, so that they are memory and not states. The noise is that of the calibration: a random walk of
+- *Motion*: the calibrated model, exact on SE(2), driven by rim speeds with the calibrated lag. The two lagged speeds
+  are deterministic, hence memory and not states. The noise is that of the calibration: a random walk of
   position and yaw with the distance rolled. At rest nothing grows.
 - *Parameters* follow a Gauss-Markov process over the distance rolled, whose centre is the estimate: their variance
-  grows at first by 2 variation^2 / reach a metre, and never beyond that of the calibration plus variation^2, while the
+  grows at first by 2 variation^2 / reach per metre, never beyond that of the calibration plus variation^2, while the
   estimate stays until a reference corrects it.
 - *A gyro* measures the true turn of each step, noise of the wheels included, and its bias.
 - *References* are gated by chi-square. One that is refused ``patience`` times in a row, but moves as the wheels do in
@@ -15,7 +15,7 @@ States: pose of base_link, the parameters that the calibration found (five for t
   variance at once.
 - *Gaps* of more than a second in the wheels: the pose stays, its variance grows by (1 m)^2 and (1 rad)^2 a second.
 - *At rest*: rims that stand still add no noise, so that the bias of a gyro is observed there; ``Standstill`` says that
-  the body rests whatever the rims do.
+  the body is at rest whatever the rims do.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ GAP_WALK, GAP_TURN = 1.0, 1.0  # [m/sqrt(s)], [rad/sqrt(s)] random walk while no
 
 @dataclass(frozen=True, slots=True)
 class FilterOptions:
-    """Tuning; the defaults are meant to stay."""
+    """Tuning; the defaults should not need to change."""
 
     adapt: bool = True  # False: references and gyro correct the pose only; the parameters stay
     variation: float = 0.03  # of a parameter from ground to ground, as a share of the width of its bounds (1 sigma)

@@ -27,7 +27,7 @@ OFFSETS = np.arange(-0.3, 1.25, 0.15)  # [s] delays of the positions that are tr
 FIRST_NOISE = np.log([0.1, 0.03, 0.02])  # stamps [s], walk [m/sqrt(m)], turn [rad/sqrt(m)]: start of the search
 LIMITS = np.log([1e-4, 1.0])  # of the search
 ROUNDS = 2  # of relinearisation
-LEAST_TRAVEL = 1.0  # [m] seen that a calibration needs
+LEAST_TRAVEL = 1.0  # [m] of motion, seen by the reference, that a calibration needs
 
 
 @dataclass(frozen=True, slots=True, eq=False)

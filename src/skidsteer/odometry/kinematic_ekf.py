@@ -21,8 +21,8 @@ a are constant through a step: m += a dt, and the pose moves as with m + a dt / 
 G diag(sigma_a^2) G' with G = dt [(F - I)_m / 2; 1]. The slip parameters may follow a random walk in time, and the pose
 one with the distance rolled (neither is Thalmann's).
 
-Observations. The encoders pass the compatibility test first, Eq. (10) (``reference_update``). Where T is above its
-threshold the observation goes whose exclusion lowers T the most, by (D^-1 d)_i^2 / (D^-1)_ii, and the rest is tested
+Observations. The encoders first undergo the compatibility test, Eq. (10) (``reference_update``). Where T is above its
+threshold the observation is excluded that lowers T the most, by (D^-1 d)_i^2 / (D^-1)_ii, and the rest is tested
 again. What is excluded once may be an outlier; what is excluded again and again is motion: each exclusion adds
 d^2 / (threshold patience) to the variance of its motion parameter, so that a constant disagreement is believed after
 ``patience`` samples. An infinite patience is the paper's filter.

@@ -39,7 +39,7 @@ class Log:
 
     wheels: Series  # (k, 2) v_left, v_right [m/s], held from sample to sample
     reference: Series | None = None  # (m, 3) poses, or (m, 2) positions
-    covariance: FloatArray | None = None  # (3, 3) or (2, 2) of each of them
+    covariance: FloatArray | None = None  # (3, 3) or (2, 2) of each reference
     stamp: float = 0.0  # [s] standard deviation of the reference's stamps
     mount: Mount = ORIGIN
     gyro: Series | None = None  # (g, 1) yaw rate as measured [rad/s]

@@ -21,7 +21,7 @@ from skidsteer.odometry.trajectory import Trajectory
 from skidsteer.progress import Progress, silent
 from skidsteer.se2 import FloatArray, compose
 
-LEAST_SIGMA = 0.01  # [m] of a position: what repeats from one to the next is not in the calibration's noise
+LEAST_SIGMA = 0.01  # [m] of a position: errors that repeat from one to the next are not in the calibration's noise
 
 
 def run_phases(

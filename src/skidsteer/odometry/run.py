@@ -24,7 +24,7 @@ from skidsteer.se2 import FloatArray, compose, invert
 
 @dataclass(frozen=True, slots=True)
 class OdometryOptions:
-    """What is used of a drive, and how."""
+    """Which parts of a drive are used, and how."""
 
     filter: str = "icr"  # of ``FILTERS``
     reference: bool = True  # False: it is only used to measure the errors

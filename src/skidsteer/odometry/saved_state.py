@@ -1,4 +1,4 @@
-"""A filter's state as JSON that reads back to the last bit, so that a robot continues where it was switched off."""
+"""A filter's state as JSON, exact to the last bit, so that a robot continues where it was switched off."""
 
 from __future__ import annotations
 

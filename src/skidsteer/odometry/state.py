@@ -75,7 +75,7 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class YawRate:
-    """A gyro's yaw rate as it measures it, the mean over the ``duration`` before ``time``."""
+    """A gyro's yaw rate as measured, the mean over the ``duration`` before ``time``."""
 
     time: float  # [s] at which it ends
     rate: float  # [rad/s]

@@ -45,7 +45,7 @@ def unit_variance(choice: Choice, track_width: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class SystemNoise:
-    """Standard deviations, all finite and not negative, ``encoder`` positive.
+    """Standard deviations, all finite and not negative; ``encoder`` positive.
 
     The accelerations are constant in a step and independent from step to step, as in the paper, so that their effect
     depends on the sampling rate.

@@ -59,7 +59,7 @@ class Timeline:
 
     def _with(self, more: tuple[Past, ...], now: FilterState) -> Timeline:
         past = self.past
-        if past and past[0][0].time < now.time - 2.0 * self.horizon:  # cut seldom: it costs a copy
+        if past and past[0][0].time < now.time - 2.0 * self.horizon:  # trimmed seldom, since it costs a copy
             past = past[self._last_before(now.time - self.horizon) :]
         return Timeline(self.filter, now, self.horizon, past + more)
 
@@ -114,7 +114,7 @@ def _inserted(
 
 
 def _with_rates(events: Sequence[Event]) -> Iterator[tuple[Event, YawRate | None]]:
-    """Each event but yaw rates, and the yaw rate of a step."""
+    """Each event other than a yaw rate, with the yaw rate of its step."""
     for event, following in zip_longest(events, events[1:]):
         if not isinstance(event, YawRate):
             yield event, following if isinstance(event, Step) and isinstance(following, YawRate) else None

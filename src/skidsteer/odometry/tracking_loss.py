@@ -18,7 +18,7 @@ from skidsteer.odometry.kinematic_ekf import KinematicEkf
 from skidsteer.odometry.thalmann_replay import Replay, Tracking, replay
 from skidsteer.se2 import FloatArray
 
-SEEN_FIRST = 5.0  # [m] that the target moves before tracking is lost: at rest positions tell no heading
+SEEN_FIRST = 5.0  # [m] that the target moves before tracking is lost: positions of a robot at rest give no heading
 LEAST_MOVE = 2.0  # [m] that it moves in a window
 TRIES = 4000
 

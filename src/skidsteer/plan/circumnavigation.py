@@ -150,7 +150,7 @@ class Plan:
 
     @property
     def misses(self) -> FloatArray:
-        """By how much (3,) the rounded commands miss the start in the end, without lag: ahead, left [m], yaw [rad].
+        """By how much (3,) the rounded commands miss the start at the end, without lag: ahead, left [m], yaw [rad].
 
         0 without rounding, unless the model does not drive straight.
         """

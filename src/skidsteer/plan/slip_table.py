@@ -56,7 +56,7 @@ class SlipTable(Model):
         return np.array(sorted(rows))
 
     def _arcs(self, side: Side) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Along arcs ever tighter (n,): (v_o - v_i) / (v_o + v_i), curvature [1/m], speed over mean rim speed."""
+        """Along ever tighter arcs (n,): (v_o - v_i) / (v_o + v_i), curvature [1/m], speed over mean rim speed."""
         rows = self._of(side)
         curvature = np.unique(np.concatenate([np.linspace(0.0, rows[-1, 0], GRID), rows[:, 0]]))
         K, i_o = (np.interp(curvature, rows[:, 0], column) for column in rows[:, 1:].T)

@@ -40,8 +40,8 @@ def driver_of(
 
     Raises:
         DataError: a file that cannot be used.
-        RequestError: both or none of them, a vehicle beside a calibration, a table that is none, or no such profile or
-            surface.
+        RequestError: both or none of them, a vehicle beside a calibration, a file that is no such table, or no such
+            profile or surface.
     """
     if (calibration is None) == (circles is None):
         raise RequestError("give either --calibration FILE or --circles TABLE")

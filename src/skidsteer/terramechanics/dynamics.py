@@ -2,7 +2,7 @@
 
 The shear stress follows the sliding without delay, as in the steady turn; at low speed that is stiff, hence the
 implicit steps. Wheel loads follow the ground's forces of the previous step. The rims follow a first-order lag while the
-torque suffices; otherwise they are driven with its limit.
+torque suffices; otherwise they are driven at the torque limit.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class RollingRobot:
         self.state, self.power = at_rest(start), np.zeros(3)
         ground = Ground(ground) if isinstance(ground, Terrain) else ground
         self._fixed, self._loads = _numbers(robot, ground, NODES), robot.loads()
-        self._parts, self._length = np.zeros(1), 0.0  # [s] of a step, cut; of which length
+        self._parts, self._length = np.zeros(1), 0.0  # [s] parts that a step of this length is cut into
 
     def step(self, rims: ArrayLike, dt: float) -> FloatArray:
         """State (8,) dt [s] later, with commanded rim speeds (2,) [m/s]; see ``Rolling``.

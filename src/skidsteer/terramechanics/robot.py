@@ -1,4 +1,4 @@
-"""A robot as the ground feels it: positions and loads of the wheels, limits of the drives."""
+"""A robot as the ground feels it: positions and loads of the wheels, limits of the motors."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Robot:
         return np.repeat([0, 1], len(self.axles))
 
     def load_slopes(self) -> FloatArray:
-        """Derivative (w, 2) [kg] of the loads by the acceleration of the centre of mass along x and y."""
+        """Derivative (w, 2) [kg] of the loads with respect to the acceleration of the centre of mass along x and y."""
         x, y = self.places.T
         return np.asarray(-self.mass * self.com_height * np.column_stack([x / (x @ x), y / (y @ y)]))
 
@@ -97,7 +97,7 @@ class Robot:
 
 
 def robot(vehicle: Vehicle, **measures: Any) -> Robot:
-    """A robot of a vehicle; what is neither known of that nor given is assumed.
+    """The robot of a vehicle; what is neither known of the vehicle nor given is assumed.
 
     Assumed are a contact patch a third of the wheel's radius long and half of it wide, a centre of mass at the height
     of the axles, the yaw inertia of a homogeneous box around the wheels, and a torque that just spins the wheels where

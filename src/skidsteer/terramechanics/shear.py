@@ -71,7 +71,7 @@ def unit_forces(
 
     Returns:
         (..., w, 3, 5): along the next to last axis F_x, F_y and the moment about the origin [m]; along the last one
-        these, then their derivatives by v_x, v_y, omega and the rim speed of the wheel.
+        these, then their derivatives with respect to v_x, v_y, omega and the rim speed of the wheel.
     """
     twist, rims = np.asarray(twist, dtype=float), np.asarray(rims, dtype=float)
     shape = np.broadcast_shapes(twist.shape[:-1], rims.shape[:-1])
@@ -109,7 +109,7 @@ def wheel_forces(
 def rolling_forces(
     robot: Robot, terrain: Terrain, twist: ArrayLike, loads: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Rolling resistance of each wheel against the motion of its hub, Eq. (22), and its derivative by the twist.
+    """Rolling resistance of each wheel against the motion of its hub, Eq. (22), and its twist derivative.
 
     The sum is the m g mu_roll of Eq. (22) where all hubs move forwards, and a moment where they move in opposite
     directions, which Eq. (22) leaves open. Below ``STANDSTILL`` it fades.

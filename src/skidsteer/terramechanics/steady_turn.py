@@ -16,7 +16,7 @@ from skidsteer.terramechanics.terrain import Terrain
 
 ITERATIONS = 200
 FIRST_STEP = 0.1  # [s]
-SHORTEST_STEP = 1e-4  # [s] that is taken even where the residual grows: the motion in time leads past that
+SHORTEST_STEP = 1e-4  # [s] taken even where the residual grows: the motion in time leads past that
 TOLERANCE = 1e-10  # of forces, relative to the weight
 
 
@@ -74,7 +74,7 @@ def steady_turn(
     """Find the twist at which the ground's forces balance the centrifugal force, Eq. (16).
 
     Where the paper searches for the chi and lambda of least residual force, Eq. (23), pseudo-transient Newton steps
-    find the twist without any. The loads follow the acceleration.
+    find the twist without any residual. The loads follow the acceleration.
 
     Args:
         robot: that turns.
@@ -114,12 +114,12 @@ class _Balance:
     """Residual forces at some twists, for each operating point."""
 
     residual: FloatArray  # (n, 3, 1) [N, N, N m]
-    slope: FloatArray  # (n, 3, 3) its derivative by the twist
+    slope: FloatArray  # (n, 3, 3) its derivative with respect to the twist
     loads: FloatArray  # (n, w) [N]
-    size: FloatArray  # (n,) its size, relative to the weight
+    size: FloatArray  # (n,) norm of the residual, relative to the weight
 
     def where(self, better: np.ndarray, other: _Balance) -> _Balance:
-        """The other one where it is better."""
+        """This balance, with the other one's points where those are better."""
         return _Balance(
             np.where(better[:, None, None], other.residual, self.residual),
             np.where(better[:, None, None], other.slope, self.slope),
@@ -152,7 +152,7 @@ def _balance(robot: Robot, terrain: Terrain, twist: FloatArray, rims: FloatArray
 
 
 def _centripetal(robot: Robot, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Acceleration (n, 2) of the centre of mass in a steady turn, and its derivative (n, 2, 3) by the twist."""
+    """Acceleration (n, 2) of the centre of mass in a steady turn, and its twist derivative (n, 2, 3)."""
     x, y, (v_x, v_y, omega) = robot.com_x, robot.com_y, twist.T
     zero = np.zeros_like(omega)
     acceleration = np.column_stack([-omega * (v_y + omega * x), omega * (v_x - omega * y)])
@@ -161,7 +161,7 @@ def _centripetal(robot: Robot, twist: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _inertia(robot: Robot) -> FloatArray:
-    """Mass matrix (3, 3): forces and moment about the origin per change of the twist in a second."""
+    """Mass matrix (3, 3): forces and moment about the origin per rate of change of the twist."""
     m, x, y = robot.mass, robot.com_x, robot.com_y
     return np.array([[m, 0.0, -m * y], [0.0, m, m * x], [-m * y, m * x, robot.yaw_inertia + m * (x**2 + y**2)]])
 

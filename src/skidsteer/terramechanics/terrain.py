@@ -107,7 +107,7 @@ def parse_ground(text: str) -> Ground:
 
 
 def _area(name: str, where: str) -> Area:
-    """The area of a terrain from a time on, or at a place; a ``ValueError`` where the words are neither."""
+    """The area of a terrain from a time on, or at a place; a ``ValueError`` if the text gives neither."""
     numbers = [float(word) for word in where.split("/")]
     if not all(map(math.isfinite, numbers)):
         raise ValueError
@@ -155,7 +155,7 @@ class Ground:
     areas: Sequence[Area] = ()
 
     def words(self) -> str:
-        """The ground as text, as ``parse_ground`` reads it; of an area of both a place and a time its place only."""
+        """The ground as text, as ``parse_ground`` reads it; of an area bounded in place and in time only the place."""
         return ",".join([self.everywhere.name, *(area.words() for area in self.areas)])
 
     def bounds(self) -> FloatArray:
