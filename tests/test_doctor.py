@@ -454,6 +454,18 @@ def test_clipped_readings_are_found(drive: Drive) -> None:
     assert_allclose(finding.amount, 0.35)
 
 
+@pytest.mark.parametrize("mount", [(0.0, -0.5, 0.0), (0.0, 0.5, 0.0), (0.3, -0.4, -1.2), (0.5, 0.0, 1.5)])
+def test_where_the_reference_sits_is_no_limit_and_hides_none(mount: tuple[float, float, float]) -> None:
+    """A sensor off the middle is faster than the wheels in turns, which this robot makes at its highest wheel speed."""
+    lab = sample("p3at-lab")
+    assert lab.pose is not None
+    seen = pose(lab, compose(lab.pose.values, mount))
+    assert {finding.kind for finding in examine(seen)} <= {"turned_reference"}
+    finding = the("saturated", wheels(seen, np.clip(seen.wheels.values, -0.35, 0.35)))
+    assert_allclose(finding.amount, 0.35)
+    assert finding.where
+
+
 def test_driving_backwards_is_no_fault_and_hides_none(drive: Drive) -> None:
     assert drive.pose is not None
     back = pose(wheels(drive, -drive.wheels.values[:, ::-1]), drive.pose.values + np.array([0.0, 0.0, np.pi]))

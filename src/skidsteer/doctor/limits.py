@@ -20,6 +20,7 @@ CLEAR_EXCESS = 0.1  # share of the limit by which the robot is faster than clipp
 EXCESS = 0.03  # the same where the readings are flat at the limit only
 FEWEST_RUNS = 15  # of equal readings off the limit, or there is nothing to compare with
 FEW = 20  # samples of a grid
+FAR = 5.0  # times the median error
 EXACT = 1e-3  # of the typical speed: nearer to the command than any measurement
 
 
@@ -154,8 +155,27 @@ def _sides_by_reference(pair: Pair, at_limit: BoolArray) -> tuple[FloatArray, Fl
     """Speeds of both sides (n, 2) as the reference sees them, and as the wheels tell them."""
     read = pair.b.at(pair.a.t - pair.best.lag(pair.a.t))
     free = np.asarray(~at_limit.any(axis=1))
-    seen = np.stack([_scaled(pair.a.values[:, c], read[:, c], free) for c in (SPEED, TURN)], axis=-1)
-    return _sides(seen[:, SPEED], seen[:, TURN]), _sides(read[:, SPEED], read[:, TURN])
+    speed = _of_the_middle(pair.a.values, read[:, SPEED], free)
+    seen = [_scaled(rate, read[:, c], free) for rate, c in ((speed, SPEED), (pair.a.values[:, TURN], TURN))]
+    return _sides(*seen), _sides(read[:, SPEED], read[:, TURN])
+
+
+def _of_the_middle(seen: FloatArray, read: FloatArray, free: BoolArray) -> FloatArray:
+    """The speed (n,) that a reference sees, less what goes with its yaw rate: a sensor at y on the robot sees -y omega.
+
+    So does one that is turned a little and sits ahead. Least squares over what the free wheels read, (n,), twice: the
+    second time without the samples that the first leaves far off, where the robot is stuck or the reference lost.
+    """
+    good = free & np.isfinite(seen).all(axis=1) & np.isfinite(read)
+    regressors = np.stack([read, seen[:, TURN]], axis=-1)
+    lever = 0.0
+    for _ in range(2):
+        if good.sum() < FEW:
+            break
+        factors = np.linalg.lstsq(regressors[good], seen[good, SPEED], rcond=1e-6)[0]
+        lever, left = factors[1], np.abs(seen[:, SPEED] - regressors @ factors)
+        good &= left <= max(FAR * float(np.median(left[good])), EXACT * typical(read))
+    return np.asarray(seen[:, SPEED] - lever * seen[:, TURN])
 
 
 def _sides_by_gyro(pair: Pair, at_limit: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -182,7 +202,8 @@ def _scaled(seen: FloatArray, read: FloatArray, free: BoolArray) -> FloatArray:
 def _flat_times(wheels: Series, limits: FloatArray) -> list[Interval]:
     where = []
     for column, limit in zip(wheels.values.T, limits, strict=True):
-        first, length = runs_of_equal(column[:, None])
-        flat = (length >= FLAT) & (np.abs(column[first]) >= limit * (1.0 - 1e-9))
+        struck = np.abs(column) >= limit * (1.0 - 1e-9)
+        first, length = runs_of_equal(struck[:, None])
+        flat = (length >= FLAT) & struck[first]
         where += _intervals(wheels.t, first[flat], length[flat])
     return sorted(set(where))
