@@ -49,6 +49,10 @@ def _presets(*vehicles: Vehicle) -> dict[str, Vehicle]:
     return {vehicle.name: vehicle for vehicle in vehicles}
 
 
+# Compared with the vendors' published ROS configurations (clearpath_common, husky, husarion_ugv_ros, scout_ros,
+# summit_xl_common). The limits that these set to commands are settings rather than measures, and left out: for a Husky
+# 3 m/s^2 and 6 rad/s^2 in ROS 1, 1 m/s^2 and 1 rad/s^2 in ROS 2; a Jackal 20 m/s^2, a Warthog 50 m/s^2, a Panther
+# 2.7 m/s^2, a Summit XL 3 m/s^2 (and 1.5 m/s, half of what its wheels reach).
 PRESETS: dict[str, Vehicle] = _presets(
     Vehicle(
         "pioneer-p3at",

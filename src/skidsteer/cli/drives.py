@@ -32,8 +32,10 @@ def design(
     max_speed: Annotated[
         float | None, typer.Option(metavar="M/S", help="default: walking pace, or the wheels'")
     ] = None,
-    max_omega: Annotated[float, typer.Option(metavar="RAD/S", help="highest yaw rate")] = 1.5,
-    max_acceleration: Annotated[float, typer.Option(metavar="M/S2", help="of the wheels")] = 1.5,
+    max_omega: Annotated[float, typer.Option(metavar="RAD/S", help="highest yaw rate that the controller takes")] = 1.5,
+    max_acceleration: Annotated[
+        float, typer.Option(metavar="M/S2", help="of the wheels, as the controller limits it: 1 on a stock Husky")
+    ] = 1.5,
     max_lateral: Annotated[float, typer.Option(metavar="M/S2", help="speed times yaw rate")] = 0.5,
     margin: Annotated[float, typer.Option(metavar="M", help="to keep from the edge of the area")] = 0.25,
     seed: Annotated[int, Seed] = 0,
