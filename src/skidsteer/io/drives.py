@@ -1,4 +1,4 @@
-"""Any DRIVE of the command line to a `Drive`: a folder, CSV files, a bag, ``sample:NAME``."""
+"""Any DRIVE of the command line to a `Drive`: a folder, CSV and TUM files, a bag, ``sample:NAME``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from skidsteer.drive import Drive, Series
 from skidsteer.errors import DataError, RequestError
-from skidsteer.io.folder import read_csv_files, read_folder
+from skidsteer.io.folder import TRAJECTORY, read_csv_files, read_folder
 from skidsteer.io.options import AUTOMATIC, BagOptions
 from skidsteer.samples import sample
 from skidsteer.vehicle import Vehicle
@@ -26,7 +26,8 @@ log = logging.getLogger(__name__)
 SURELY_TURNS = 2.0  # [rad] by the nominal track width
 
 PREFIX = "sample:"
-NOT_A_DRIVE = "give a drive folder, CSV files, a bag (.bag, .mcap, .db3 or a rosbag2 folder) or sample:NAME"
+TABLES = (".csv", TRAJECTORY)  # files that hold parts of a drive
+NOT_A_DRIVE = "give a drive folder, CSV or .tum files, a bag (.bag, .mcap, .db3 or a rosbag2 folder) or sample:NAME"
 
 
 def load_drive(
@@ -41,7 +42,8 @@ def load_drive(
     heading write such.
 
     Args:
-        path: a drive folder, CSV files joined by commas (``wheels.csv,pose.csv``), a bag, or ``sample:NAME``.
+        path: a drive folder, files joined by commas (``wheels.csv,pose.csv`` or ``wheels.csv,pose.tum``), a bag, or
+            ``sample:NAME``.
         vehicle: of the drive; None: what is written beside it. A bag needs it.
         bag: topics, joints and frames of a bag, where the automatic choice does not fit; and the plate on the robot
             that the laser scans of any drive show.
@@ -59,7 +61,7 @@ def load_drive(
 
 def _read(text: str, vehicle: Vehicle | None, bag: BagOptions, otherwise: Vehicle | None) -> Drive:
     names = text.split(",")
-    if all(name.lower().endswith(".csv") for name in names):
+    if all(name.lower().endswith(TABLES) for name in names):
         return read_csv_files(names, vehicle, bag.plate, otherwise)
     if not os.path.exists(text):
         raise DataError(f"{text}: no such drive; {NOT_A_DRIVE}")
@@ -121,7 +123,7 @@ def load_drives(
     bag: BagOptions = AUTOMATIC,
     otherwise: Vehicle | None = None,
 ) -> list[Drive]:
-    """Read all drives named on a command line; CSV files that stand beside each other there are one drive.
+    """Read all drives named on a command line; CSV and TUM files that stand beside each other there are one drive.
 
     With ``otherwise``, the vehicle that a calibration is of, the drives may be of any robots.
 
@@ -131,14 +133,14 @@ def load_drives(
     if not paths:
         raise RequestError("no drive given")
     groups: list[str] = []
-    was_csv = False
+    was_table = False
     for path in paths:
-        is_csv = path.lower().endswith(".csv") and "," not in path
-        if is_csv and was_csv:
+        is_table = path.lower().endswith(TABLES) and "," not in path
+        if is_table and was_table:
             groups[-1] += "," + path
         else:
             groups.append(path)
-        was_csv = is_csv
+        was_table = is_table
     drives = [load_drive(group, vehicle, bag, otherwise) for group in groups]
     if otherwise is None:
         _refuse_other_robots(drives)

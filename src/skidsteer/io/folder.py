@@ -20,6 +20,7 @@ from skidsteer.io import atomic
 from skidsteer.io.csv_table import Table, column_if_numeric, line_of, numbers, read_table
 from skidsteer.io.scans import SCANS_FILE, is_scan_table, plate_series
 from skidsteer.io.text_file import listed, names_in, read_bytes, short
+from skidsteer.io.tum import read_tum_table
 from skidsteer.io.vehicle_file import LARGEST, parse_antenna, parse_vehicle, read_vehicle, vehicle, vehicle_text
 from skidsteer.laser.plate import Plate
 from skidsteer.se2 import FloatArray
@@ -39,6 +40,7 @@ COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {  # part of a drive -> its fi
 }
 FILES = {part: file for part, (file, _) in COLUMNS.items()} | {"segments": "segments.csv"}
 READ = FILES | {"scans": SCANS_FILE}  # raw scans are read only: a folder that holds them is never replaced
+TRAJECTORY = ".tum"  # ending of the name of a file with poses in that format
 VEHICLE_FILE = "vehicle.yaml"
 MARK = "# written by skidsteer, SHA-256: "  # begins the last line of it, by which a written drive is known
 SEGMENT_COLUMNS = ("seg", "t_start", "t_end")
@@ -83,10 +85,10 @@ def read_csv_files(
     plate: Plate | None = None,
     otherwise: Vehicle | None = None,
 ) -> Drive:
-    """Read CSV files that together are one drive, each recognised by its name or else by its columns.
+    """Read files that together are one drive, each recognised by its name or else by its columns.
 
-    A file may hold several parts on one clock. Its ``v, omega`` are taken as a command only where nothing else is in
-    it: beside a pose they are most likely measured.
+    They are CSV files; poses may be a trajectory in the TUM format. A file may hold several parts on one clock. Its
+    ``v, omega`` are taken as a command only where nothing else is in it: beside a pose they are most likely measured.
 
     Args:
         paths: the files.
@@ -102,7 +104,8 @@ def read_csv_files(
             cannot be used.
     """
     tables: dict[str, Table] = {}
-    for table in map(read_table, paths):
+    for path in paths:
+        table = read_tum_table(path) if os.fspath(path).lower().endswith(TRAJECTORY) else read_table(path)
         for part in _parts_in(table):
             if part in tables:
                 raise DataError(f"{tables[part].path} and {table.path} both have {part} columns; leave one of them out")

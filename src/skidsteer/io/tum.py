@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from skidsteer.drive import Series
 from skidsteer.errors import DataError
 from skidsteer.io import atomic, tf
+from skidsteer.io.csv_table import Table
 from skidsteer.io.text_file import decode, read_bytes, short
 from skidsteer.se2 import FloatArray
 
@@ -22,7 +24,26 @@ def read_tum(path: str | os.PathLike[str]) -> Series:
     Raises:
         DataError: the file cannot be read, is empty, or a line of it is not eight finite numbers with a rotation.
     """
+    _, t, poses = _parsed(path, read_bytes(path))
+    return Series(t, poses, f"{path}")
+
+
+def read_tum_table(path: str | os.PathLike[str]) -> Table:
+    """Read a trajectory as a table of ``t, x, y, yaw`` without a header, whose lines are those of the file.
+
+    Raises:
+        DataError: as ``read_tum``, but for the order of times.
+    """
     data = read_bytes(path)
+    numbers, t, poses = _parsed(path, data)
+    lines = [""] * numbers[-1]
+    for number, row in zip(numbers, np.column_stack([t, poses]).tolist(), strict=True):
+        lines[number - 1] = ",".join(map(repr, row))
+    return Table(Path(path), data, lines, 0, ("t", "x", "y", "yaw"), ",")
+
+
+def _parsed(path: str | os.PathLike[str], data: bytes) -> tuple[list[int], FloatArray, FloatArray]:
+    """Numbers of the lines that hold poses, counted from 1, times (m,) and poses (m, 3)."""
     lines = [
         (number, cells)
         for number, line in enumerate(decode(path, data).splitlines(), start=1)
@@ -35,7 +56,7 @@ def read_tum(path: str | os.PathLike[str]) -> Series:
     unturned = np.flatnonzero(~np.isfinite(transforms).all(axis=1))
     if unturned.size:
         raise DataError(f"{path}: line {lines[unturned[0]][0]} has a quaternion of length 0; delete that line")
-    return Series(table[:, 0], tf.planar(transforms), f"{path}")
+    return [number for number, _ in lines], table[:, 0], tf.planar(transforms)
 
 
 def _numbers(path: str | os.PathLike[str], number: int, cells: list[str]) -> FloatArray:
