@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,15 +71,7 @@ def _write1(path: Path, kind: str, messages: Sequence[Message]) -> Path:
     writer = Writer1(path)
     if kind != "rosbag1":
         writer.set_compression(getattr(Writer1.CompressionFormat, kind.split("-")[1].upper()))
-    store = STORES[1]
-    with writer:
-        connections: dict[str, Any] = {}
-        for message in messages:
-            if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=store)
-            data = store.serialize_ros1(build(store, message.type, message.value), message.type)
-            writer.write(connections[message.topic], message.bag_ns, data)
-    return path
+    return _fill(writer, path, STORES[1], STORES[1].serialize_ros1, messages)
 
 
 def _write2(path: Path, kind: str, messages: Sequence[Message]) -> Path:
@@ -88,13 +80,16 @@ def _write2(path: Path, kind: str, messages: Sequence[Message]) -> Path:
     modes = {"zstd": CompressionMode.STORAGE, "message": CompressionMode.MESSAGE, "file": CompressionMode.FILE}
     if "-" in kind:
         writer.set_compression(modes[kind.split("-")[1]], CompressionFormat.ZSTD)
-    store = STORES[2]
+    return _fill(writer, path, STORES[2], STORES[2].serialize_cdr, messages)
+
+
+def _fill(writer: Any, path: Path, store: Any, serialize: Callable[..., Any], messages: Sequence[Message]) -> Path:
     with writer:
         connections: dict[str, Any] = {}
         for message in messages:
             if message.topic not in connections:
                 connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=store)
-            data = store.serialize_cdr(build(store, message.type, message.value), message.type)
+            data = serialize(build(store, message.type, message.value), message.type)
             writer.write(connections[message.topic], message.bag_ns, data)
     return path
 
