@@ -276,6 +276,27 @@ def test_ticks_are_named_and_cured_where_their_number_is_known(drive: Drive) -> 
     assert_allclose(the("wheels_in_ticks", known).amount, 1.0 / 138_000.0)
 
 
+@pytest.mark.parametrize("factor", [1e-3, 1e-2])
+@pytest.mark.parametrize("part", ["pose", "position"])
+def test_a_reference_in_millimetres_is_found_and_scaled(drive: Drive, part: str, factor: float) -> None:
+    assert drive.pose is not None
+    places = Series(drive.pose.t, drive.pose.values[:, :2], "position")
+    right = drive if part == "pose" else replace(drive, pose=None, gyro=None, position=places)
+    values = getattr(right, part).values / ([factor, factor, 1.0] if part == "pose" else factor)
+    wrong = replace(right, **{part: Series(drive.pose.t, values, part)})
+    finding = the("reference_unit", wrong)
+    assert (finding.part, finding.amount) == (part, factor)
+    cured, done = fix(wrong, [finding])
+    assert done == (f"multiplied the positions of the {part} by {factor:g}",)
+    assert_allclose(getattr(cured, part).values, getattr(right, part).values, atol=1e-12)
+
+
+@pytest.mark.parametrize("part", ["pose", "gyro"])
+def test_milliseconds_of_one_part_are_one_finding(drive: Drive, part: str) -> None:
+    findings = examine(at(drive, part, 1e3 * getattr(drive, part).t))
+    assert [(f.kind, f.part) for f in findings] == [("time_unit", part)]
+
+
 @pytest.mark.parametrize("factor", [0.3, 2.5, 5.0])
 def test_a_wheel_radius_wrong_by_a_large_factor_is_found(drive: Drive, factor: float) -> None:
     finding = the("wheel_radius", wheels(drive, factor * drive.wheels.values))

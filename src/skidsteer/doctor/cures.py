@@ -85,6 +85,12 @@ def _scale_part(drive: Drive, finding: Finding) -> Drive:
     return _with_values(drive, finding.part, values)
 
 
+def _scale_positions(drive: Drive, finding: Finding) -> Drive:
+    values = getattr(drive, finding.part).values.copy()
+    values[:, :2] *= finding.amount
+    return _with_values(drive, finding.part, values)
+
+
 def _shift(drive: Drive, finding: Finding) -> Drive:
     t = getattr(drive, finding.part).t
     return _with_samples(drive, finding.part, t - finding.amount, np.ones(len(t), bool))
@@ -150,6 +156,7 @@ CURES: dict[str, tuple[Cure, str]] = {
     "reference_yaw_sign": (_scale_part, "negated the yaw of the pose"),
     "gyro_degrees": (_scale_part, "multiplied the gyro by {amount:.6f} (deg to rad)"),
     "reference_yaw_degrees": (_scale_part, "multiplied the yaw of the pose by {amount:.6f} (deg to rad)"),
+    "reference_unit": (_scale_positions, "multiplied the positions of the {part} by {amount:.6g}"),
     "wheels_in_rad_s": (_scale_part, "multiplied the wheel speeds by {amount:.6g} (rad/s to m/s)"),
     "wheels_in_mm_s": (_scale_part, "multiplied the wheel speeds by {amount:.6g} (mm/s to m/s)"),
     "wheels_in_ticks": (_scale_part, "multiplied the wheel speeds by {amount:.6g} (ticks/s to m/s)"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from skidsteer.doctor.clocks import clock_findings
 from skidsteer.doctor.evidence import gather
 from skidsteer.doctor.excitation import excitation_findings
@@ -29,16 +31,21 @@ TESTS = (
 )
 
 
+MILLI = (500.0, 2000.0)  # times as long as the wheels: no part goes on for that long without them
 SEEN_OF_A_DEAD_SIDE = ("clock_jump", "clock_drift", "clock_offset", "wheel_radius", "circle_only")
 
 
 def examine(drive: Drive) -> tuple[Finding, ...]:
     """What is wrong with a drive, or worth knowing, the worst first; empty where nothing is.
 
-    Where the wheels are logged too seldom to tell motion, that is all there is to say.
+    Where the wheels are logged too seldom to tell motion, or another part's time is in milliseconds, that is all there
+    is to say.
     """
     if (period := sampling_period(drive.wheels.t)) > BREAK:
         return (_seldom(period),)
+    slow = [_in_milliseconds(part, ratio) for part, ratio in _spans(drive).items() if MILLI[0] < ratio < MILLI[1]]
+    if slow:
+        return tuple(slow)
     evidence = gather(drive)
     unfold = evidence.folding.unfold
     found = _unexplained([finding for test in TESTS for finding in test(evidence)])
@@ -57,6 +64,27 @@ def _seldom(period: float) -> Finding:
         f"Beyond {BREAK:g} s the motion between two samples is unknown; nothing else can be judged.",
         "Write t in seconds (milliseconds divided by 1000); else log the wheels at 10 Hz or more.",
         False,
+    )
+
+
+def _spans(drive: Drive) -> dict[str, float]:
+    """How long pose, position and gyro go on by their own stamps, over how long the wheels do."""
+    parts = {part: getattr(drive, part) for part in ("pose", "position", "gyro")}
+    rolled = float(np.ptp(drive.wheels.t))
+    return {part: float(np.ptp(s.t)) / rolled for part, s in parts.items() if s is not None and rolled > 0.0}
+
+
+def _in_milliseconds(part: str, ratio: float) -> Finding:
+    return Finding(
+        "time_unit",
+        f"The time of the {part} is in milliseconds: it goes on {ratio:.4g} times as long as that of the wheels.",
+        (),
+        0.9,
+        "error",
+        f"Wheels and {part} share no motion; nothing else can be judged.",
+        f"Write t of the {part} in seconds (milliseconds divided by 1000).",
+        False,
+        part,
     )
 
 

@@ -19,6 +19,7 @@ KINDS: dict[str, str] = {
     "gyro_degrees": "the gyro is in deg/s",
     "gyro_drift": "the bias of the gyro drifts",
     "reference_yaw_degrees": "the yaw of the reference is in degrees",
+    "reference_unit": "the positions of the reference are in mm or cm",
     "wheels_in_rad_s": "wheel speeds are in rad/s",
     "wheels_in_mm_s": "wheel speeds are in mm/s",
     "wheels_in_ticks": "wheel speeds are in encoder ticks a second",

@@ -20,6 +20,7 @@ WIDTHS = (0.35, 7.0)  # effective over nominal track width that skid-steering ex
 USUAL_WIDTH = 1.8
 FASTEST = 12.0  # [m/s] no skid-steer robot
 FEW = 20  # samples
+REFERENCE_UNITS = {"mm": 1e-3, "cm": 1e-2}  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,8 @@ def unit_findings(evidence: Evidence) -> list[Finding]:
     found = [_yaw_finding()] if "reference_yaw_degrees" in evidence.yaw_fault else []
     gyro = _gyro_against_reference(evidence)
     if reference is not None and reference.known:
-        return [*found, *gyro, *_wheels_against_reference(evidence.drive.vehicle, reference)]
+        part = "pose" if evidence.drive.pose is not None else "position"
+        return [*found, *gyro, *_wheels_against_reference(evidence.drive.vehicle, reference, part)]
     return [*found, *gyro, *_without_reference(evidence)]
 
 
@@ -89,7 +91,7 @@ def _middle_ratio(x: FloatArray, y: FloatArray) -> float:
     return float(np.median(found)) if len(found) >= FEW else np.nan
 
 
-def _wheels_against_reference(vehicle: Vehicle, pair: Pair) -> list[Finding]:
+def _wheels_against_reference(vehicle: Vehicle, pair: Pair, part: str) -> list[Finding]:
     # With one side negated the difference of the columns, twice the speed, stands for the speed.
     crossed = pair.best.hypothesis.links[SPEED].b % 2 == TURN
     twice = 2.0 if crossed else 1.0
@@ -101,7 +103,26 @@ def _wheels_against_reference(vehicle: Vehicle, pair: Pair) -> list[Finding]:
         return []  # moments at rest or misaligned, no unit
     if SLIP[0] <= middle <= SLIP[1] or (middle < SLIP[0] and grip > BEST_GRIP):
         return []
+    for name, factor in REFERENCE_UNITS.items():
+        if UNIT[0] < middle * factor < UNIT[1] and typical(pair.a.values[:, SPEED]) > FASTEST:
+            return [_reference_finding(name, factor, middle, part)]
     return [_wheel_finding(_unit(vehicle, middle), f"the reference moves {middle:.3g} m", 0.98)]
+
+
+def _reference_finding(name: str, factor: float, ratio: float, part: str) -> Finding:
+    return Finding(
+        "reference_unit",
+        f"The positions of the reference are in {name}: for one metre by the wheels it moves {ratio:.3g} m, as fast as"
+        " no robot drives.",
+        (),
+        0.98,
+        "error",
+        "The scale factors run into their bounds and every distance is wrong.",
+        f"Multiply x and y by {factor:g}.",
+        True,
+        part,
+        factor,
+    )
 
 
 def _wheel_finding(unit: _Unit, seen: str, sure: float) -> Finding:
