@@ -183,3 +183,19 @@ def test_every_command_that_writes_can_be_forced() -> None:
     assert takes_out == written
     assert {name for name, callback in commands.items() if "force" in callback.__annotations__} == written
     assert "trajectory" in KINDS
+
+
+def test_what_cannot_be_written_is_told_before_the_work(short: Path, known: Path, tmp_path: Path, call: Call) -> None:
+    """Nothing is read, driven or calculated that has nowhere to go."""
+    (tmp_path / "file").write_text("")
+    nowhere = tmp_path / "file" / "made"
+    for words in (MANOEUVRE, ["check", short, "--fix"], ["follow", "--path", "line"], ["calibrate", short]):
+        code, out, error = call(*words, "--out", nowhere)
+        assert (code, out, error) == (1, "", error)
+        assert f"{tmp_path / 'file'} is a file; choose another path" in error
+    absent = tmp_path / "absent" / "made.svg"
+    code, _, error = call("figure", "trajectory", "--drive", tmp_path / "no drive", "--out", absent)
+    assert (code, "there is no folder" in error) == (1, True)
+    code, _, error = call("odometry", known, short, "--out", tmp_path / "a", "--covariance", tmp_path / "." / "a")
+    assert (code, "--out and --covariance must be two files" in error) == (1, True)
+    assert held(tmp_path) == {str(tmp_path / "file"): b""}

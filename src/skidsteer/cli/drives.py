@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from skidsteer.cli.outputs import Force, spare_file, spare_in
+from skidsteer.cli.outputs import Force, spare_drive, spare_file, spare_in
 from skidsteer.cli.words import DRIVE_HELP, FILTERS, GROUNDS, TERRAINS, Json, Profile, Seed, app, folder
 from skidsteer.sources import VEHICLES, Source, on_drives
 
@@ -95,6 +95,7 @@ def odometry(
 ) -> None:
     """Where a robot drove: a trajectory with covariance. From wheels, gyro and reference, as they are there."""
     from skidsteer import console, documents
+    from skidsteer.errors import RequestError
     from skidsteer.evaluation import remarks
     from skidsteer.io.calibration_file import load_calibration
     from skidsteer.io.covariance_csv import write_covariances
@@ -104,6 +105,8 @@ def odometry(
 
     spare_file(out, force, "trajectory")
     if covariance is not None:
+        if covariance.resolve() == out.resolve():
+            raise RequestError(f"{out}: --out and --covariance must be two files")
         spare_file(covariance, force, "covariances")
     options = OdometryOptions(filter, not no_reference, not no_gyro, smooth, lose_after, fit_delay)
     known = load_calibration(calibration).profile(profile)
@@ -169,13 +172,13 @@ def simulate(
     from skidsteer import plants
     from skidsteer.errors import RequestError
     from skidsteer.io.commands import parse_manoeuvres, read_commands
-    from skidsteer.io.folder import check_replaceable, write_folder
     from skidsteer.io.folder import vehicle as find_vehicle
+    from skidsteer.io.folder import write_folder
     from skidsteer.terramechanics.terrain import parse_ground
 
     if (commands is None) == (manoeuvre is None):
         raise RequestError("give either --commands FILE or --manoeuvre S,V,OMEGA:...")
-    check_replaceable(out, force)
+    spare_drive(out, force)
     robot = find_vehicle(vehicle)
     rims = parse_manoeuvres(manoeuvre or "", robot) if commands is None else read_commands(commands, robot)
     drive = plants.plant(plant)(out.name, robot, parse_ground(terrain), rims, plants.usual_sensors(robot), seed)

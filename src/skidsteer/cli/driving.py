@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from skidsteer.cli.outputs import Force, spare_in
+from skidsteer.cli.outputs import Force, spare_drive, spare_in
 from skidsteer.cli.words import GROUNDS, TERRAINS, Json, Profile, Seed, app, folder
 from skidsteer.sources import VEHICLES
 
@@ -77,11 +77,11 @@ def follow(
     from skidsteer.follow.task import Belief, Task, believed, recorded_drive, run_task
     from skidsteer.io.atomic import write_files
     from skidsteer.io.calibration_file import load_calibration
-    from skidsteer.io.folder import check_replaceable, write_folder
+    from skidsteer.io.folder import write_folder
     from skidsteer.terramechanics.terrain import parse_ground
 
     spare_in(out, ("follow.json", "follow.html", "way.svg", "errors.svg"), force)
-    check_replaceable(out / "drive", force)
+    spare_drive(out / "drive", force)
     if profile is not None and calibration is None:
         raise RequestError("--profile is of a calibration; give --calibration FILE, too")
     known = None if calibration is None else load_calibration(calibration).profile(profile)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skidsteer.cli.outputs import Force, spare_in
+from skidsteer.cli.outputs import Force, spare_drive, spare_in
 from skidsteer.cli.words import (
     DRIVE_HELP,
     MODELS,
@@ -174,14 +174,14 @@ def check(
     from skidsteer.doctor import fix as cure
     from skidsteer.errors import RequestError
     from skidsteer.identify.calibrate import judge_drive
-    from skidsteer.io.folder import check_replaceable, write_folder
+    from skidsteer.io.folder import write_folder
 
     if fix != (out is not None):
         raise RequestError("--fix and --out DIR belong together")
     if out is not None and any(out.resolve() == Path(word).resolve() for word in drive):
         raise RequestError(f"{out}: --out must be another folder than the drive, which stays as it was recorded")
     if out is not None:
-        check_replaceable(out, force)
+        spare_drive(out, force)
     topics = source.topics(drive)
     loaded = source.load_one(drive)
     findings = examine(loaded)

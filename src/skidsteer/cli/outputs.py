@@ -73,6 +73,19 @@ def spare_in(folder: Path, names: Iterable[str], force: bool) -> None:
         spare(folder / name, force)
 
 
+def spare_drive(folder: Path, force: bool) -> None:
+    """Refuse to replace a drive that skidsteer did not write, or a folder that cannot be written to.
+
+    Raises:
+        DataError: it holds such a drive or other things, or cannot be made or written to.
+    """
+    from skidsteer.io.atomic import check_folder
+    from skidsteer.io.folder import check_replaceable
+
+    check_replaceable(folder, force)
+    check_folder(folder)
+
+
 def spare_file(path: Path, force: bool, kind: str | None = None) -> None:
     """Refuse to replace a file, as ``spare`` does, or one that cannot be written.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skidsteer.cli.outputs import Force, spare, spare_in
+from skidsteer.cli.outputs import Force, spare_file, spare_in
 from skidsteer.cli.words import DRIVE_HELP, Json, Profile, Window, app, positive
 from skidsteer.sources import Source, on_drives
 
@@ -93,7 +93,7 @@ def figure(
         return
     entry(name)
     path = out or Path(f"{name}.svg")
-    spare(path, force, checked_suffix(path))
+    spare_file(path, force, checked_suffix(path))
     write_figure(name, _material(source, calibration, drive or [], model, show, restart, window, profile), path)
     typer.echo(f"written: {path}")
 
