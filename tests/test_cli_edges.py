@@ -14,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -27,6 +28,7 @@ from skidsteer.cli import ORDER, OneLine
 from skidsteer.cli import words as told_words
 from skidsteer.console import escape
 from skidsteer.documents import to_json
+from skidsteer.drive import Series
 from skidsteer.errors import printable
 from skidsteer.io.calibration_file import load_calibration, save_calibration
 from skidsteer.io.drives import load_drive
@@ -352,3 +354,24 @@ def test_a_cured_drive_does_not_take_the_place_of_the_recorded_one(short: Path, 
     assert (code, out, error.count("\n")) == (1, "", 1)
     assert "--out must be another folder than the drive, which stays as it was recorded" in error
     assert {path.name: path.read_bytes() for path in log.iterdir()} == before
+
+
+def test_a_recording_does_not_count_twice(short: Path, tmp_path: Path, call: Call) -> None:
+    """Nor a copy of it: the sigmas would be too small by a third, and the copy would judge it held out."""
+    copy = tmp_path / "copy"
+    shutil.copytree(short, copy)
+    for command in (["calibrate", short, copy], ["compare", short, short], ["calibrate", *["sample:p3at-mandow"] * 2]):
+        code, out, error = call(*command)
+        assert (code, out, error.count("\n")) == (1, "", 1)
+        assert "are the same recording, which would count twice; leave one of them out" in error
+
+
+def test_a_reference_in_millimetres_is_told(real: Callable[[str], Path], tmp_path: Path, call: Call) -> None:
+    """The model that comes of it would take ages to turn round: nothing to advise."""
+    drive = load_drive(real("warthog-asphalt"))
+    assert drive.pose is not None
+    far = Series(drive.pose.t, drive.pose.values * [1e3, 1e3, 1.0], "pose")
+    write_folder(replace(drive, pose=far, gyro=None, command=None), tmp_path / "far")
+    code, out, _ = call("calibrate", tmp_path / "far", "--model", "icr")
+    assert code == 0
+    assert "The positions of the reference are in mm" in " ".join(out.split())

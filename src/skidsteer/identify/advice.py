@@ -22,6 +22,7 @@ from skidsteer.windows import increment_windows
 
 MOST_ADVICE = 3
 RAMP = 1.0  # [s] from rest to the speed of the drive
+LONGEST = 3600.0  # [s] of a manoeuvre: a model that takes longer is none, as of a drive in other units than ours
 FASTER = 1.5  # times the speed of the drive
 
 Parts = tuple[Manoeuvre, ...]
@@ -48,7 +49,8 @@ def _held(model: Model, left: float, right: float, duration: float) -> Manoeuvre
 
 
 def _turned(model: Model, left: float, right: float, turns: float) -> Manoeuvre:
-    return _held(model, left, right, 2.0 * np.pi * turns / abs(float(model.twist(left, right)[2])))
+    omega = abs(float(model.twist(left, right)[2]))
+    return _held(model, left, right, 2.0 * np.pi * turns / omega if omega > 0.0 else np.inf)
 
 
 def _circles(model: Model, speed: float) -> Parts:
@@ -70,6 +72,7 @@ def advise(
     tried = {
         text: _information(judged, played(parts, speed), vehicle, step)
         for text, parts in candidates(vehicle, speed, judged.model).items()
+        if sum(part.duration for part in parts) < LONGEST
     }
     advice: list[str] = []
     before = _after(slopes, precision)

@@ -128,7 +128,7 @@ def load_drives(
     With ``otherwise``, the vehicle that a calibration is of, the drives may be of any robots.
 
     Raises:
-        RequestError: none named, or drives of different robots.
+        RequestError: none named, or without ``otherwise`` drives of different robots, or one twice.
     """
     if not paths:
         raise RequestError("no drive given")
@@ -144,6 +144,7 @@ def load_drives(
     drives = [load_drive(group, vehicle, bag, otherwise) for group in groups]
     if otherwise is None:
         _refuse_other_robots(drives)
+        _refuse_twice(drives)
     return drives
 
 
@@ -169,6 +170,17 @@ def load_grounds(
         grounds.setdefault(ground.strip() or drive.name, []).append(drive)
     _refuse_other_robots([drive for drives in grounds.values() for drive in drives])
     return grounds
+
+
+def _refuse_twice(drives: Sequence[Drive]) -> None:
+    """A recording that counts twice makes sigmas too small, and is judged by itself."""
+    first: dict[str, Drive] = {}
+    for drive in drives:
+        recording = drive.sha256 or drive.source
+        if recording and recording in first:
+            where = f"{first[recording].source} and {drive.source}"
+            raise RequestError(f"{where}: are the same recording, which would count twice; leave one of them out")
+        first[recording] = drive
 
 
 def _refuse_other_robots(drives: Sequence[Drive]) -> None:
