@@ -189,6 +189,12 @@ def test_advice_is_computed_not_looked_up(monkeypatch: pytest.MonkeyPatch) -> No
     assert advice.startswith("add one full circle each way")
 
 
+@pytest.mark.parametrize("width", [1e6, 1e300])
+def test_what_would_take_an_hour_is_not_advised(width: float) -> None:
+    """A model that hardly turns comes of a drive in other units, say; no table of its rim speeds fits any memory."""
+    assert list(candidates(P3AT, 0.3, SymmetricIcr(width, 1.0))) == ["one straight of 10 m there and back"]
+
+
 def test_the_faster_manoeuvre_keeps_to_the_wheels() -> None:
     slow, quick = candidates(P3AT, 0.3, TRUTH), candidates(P3AT, 0.6, TRUTH)
     assert [text for text in slow if text.endswith("m/s")] == ["one full circle each way at 0.45 m/s"]

@@ -31,16 +31,18 @@ Parts = tuple[Manoeuvre, ...]
 def candidates(vehicle: Vehicle, speed: float, model: Model) -> dict[str, Parts]:
     """Manoeuvres worth a try, in words.
 
-    All but the last keep to the speed [m/s] of the drive; that one is faster, as far as the wheels can be.
+    All but the last keep to the speed [m/s] of the drive; that one is faster, as far as the wheels can be. None takes
+    more than ``LONGEST``.
     """
     straight = _held(model, speed, speed, STRAIGHT / speed)
     fast = max(min(FASTER * speed, vehicle.max_wheel_speed or np.inf), speed)
-    return {
+    tried = {
         "one straight of 10 m there and back": (straight, straight.back()),
         "two turns on the spot each way": (_turned(model, -speed, speed, 2.0), _turned(model, speed, -speed, 2.0)),
         "one full circle each way": _circles(model, speed),
         f"one full circle each way at {fast:.2g} m/s": _circles(model, fast),
     }
+    return {text: parts for text, parts in tried.items() if sum(part.duration for part in parts) < LONGEST}
 
 
 def _held(model: Model, left: float, right: float, duration: float) -> Manoeuvre:
@@ -72,7 +74,6 @@ def advise(
     tried = {
         text: _information(judged, played(parts, speed), vehicle, step)
         for text, parts in candidates(vehicle, speed, judged.model).items()
-        if sum(part.duration for part in parts) < LONGEST
     }
     advice: list[str] = []
     before = _after(slopes, precision)
