@@ -167,12 +167,12 @@ def test_scheduled_icr_by_hand() -> None:
     """On the constant ICR above, v = 1.2 m/s and omega = 1 rad/s.
 
     v_x = 1.2 / (1 + 0.25); the ICRs are 1 m apart, so that the yaw rate gains 0.2 * 1.44 / (1.44 + 1 + 0.0004) by how
-    straight the path is; and 0.3 * 1.2 / 4.2 by lateral acceleration;
+    straight the path is; the ICRs close in by 0.3 * 1.2 / 4.2 by lateral acceleration;
     v_y = -0.2 omega' - 0.4 * 1.2 / (1 + 0.5 * 1.2).
     """
     terms = {"turn_loss": 0.25, "side_slip": 0.4, "straight_gain": 0.2, "load_gain": 0.3, "slip_fade": 0.5}
     model = ScheduledIcr(icr_y_left=0.4, icr_y_right=-0.6, icr_x=0.2, alpha_left=0.8, alpha_right=0.9, **terms)
-    omega = 1.0 + 0.2 * 1.44 / 2.4404 + 0.3 * 1.2 / 4.2
+    omega = (1.0 + 0.2 * 1.44 / 2.4404) / (1.0 - 0.3 * 1.2 / 4.2)
     assert_allclose(model.twist(1.0, 2.0), [0.96, -0.2 * omega - 0.3, omega], rtol=1e-14)
 
 
@@ -186,9 +186,10 @@ def test_half_of_the_straight_gain_is_reached_on_a_circle_of_the_icrs_distance()
             assert_allclose(model.twist(*rims)[2], omega * (1.0 + 0.3 * share), rtol=4e-4)
 
 
-def test_wheel_speeds_of_a_scheduled_icr_are_found_at_any_operating_point() -> None:
+@pytest.mark.parametrize("load_gain", [1.0 / 3.0, -3.0])
+def test_wheel_speeds_of_a_scheduled_icr_are_found_at_any_operating_point(load_gain: float) -> None:
     """At the bounds of every term, at rest, on the spot and far beyond what drives; NaN where nothing was asked for."""
-    model = ScheduledIcr(0.4, -0.6, 0.2, 0.8, 0.9, 5.0, 0.4, 1.0, 0.5, 0.5)
+    model = ScheduledIcr(0.4, -0.6, 0.2, 0.8, 0.9, 5.0, 0.4, 1.0, load_gain, 0.5)
     asked = np.stack(np.meshgrid([-9.0, -0.1, 0.0, 1e-3, 1.0, 9.0], [-5.0, -0.2, 0.0, 1e-3, 3.0]), axis=-1)
     twist = model.twist(*np.moveaxis(model.wheel_speeds(asked[..., 0], asked[..., 1]), -1, 0))
     assert_allclose(twist[..., [0, 2]], asked, rtol=1e-9, atol=1e-10)

@@ -128,31 +128,33 @@ def _tempered(problem: Problem, state: Unknowns, noise: Noise) -> tuple[Unknowns
     return state, told, count
 
 
-SUPPORTED = 1.5  # [sigma] that an optional parameter must differ from nothing by
+SUPPORTED = 1.5  # [sigma] above nominal that an optional parameter is kept from
+OPPOSED = 3.0  # [sigma] below it, where it works against its own meaning, or against other terms
 
 
 def fit_supported(model: Model, drives: list[Drive], windows: list[Windows], options: FitOptions = DEFAULTS) -> Fit:
     """As ``fit``, with only those of the model's optional parameters that the drives support.
 
     Backward elimination: the least significant one by the honest covariance is left out (stays nominal) and the rest is
-    fitted again, until every one that is left differs from nominal by ``SUPPORTED`` sigmas. One that is pressed against
-    a bound of what is credible makes up for something else: it goes first.
+    fitted again, until every one that is left is ``SUPPORTED`` sigmas above nominal or ``OPPOSED`` below. One that is
+    pressed against a bound of what is credible makes up for something else: it goes first.
     """
     limits = dict(zip((p.name for p in model.PARAMETERS), type(model).bounds(drives[0].vehicle).tolist(), strict=True))
     while True:
         found = fit(model, drives, windows, options)
         left = [name for name in model.OPTIONAL if name not in options.without]
-        strength = {name: abs(_difference(found, model, name)) for name in left}
+        strength = {name: _strength(found, model, name) for name in left}
         strength |= {name: 0.0 for name in left if found.named(name)[0] in limits[name]}
-        if not strength or min(strength.values()) >= SUPPORTED:
+        if not strength or min(strength.values()) >= 1.0:
             return found
         options = replace(options, without=(*options.without, min(strength, key=lambda name: strength[name])))
 
 
-def _difference(found: Fit, start: Model, name: str) -> float:
-    """By how many sigmas a parameter differs from where it started."""
+def _strength(found: Fit, start: Model, name: str) -> float:
+    """How far a parameter is from where it started, over how far it must be to be kept."""
     value, sigma = found.named(name)
-    return (value - float(getattr(start, name))) / sigma if sigma > 0.0 else 0.0
+    away = (value - float(getattr(start, name))) / sigma if sigma > 0.0 else 0.0
+    return max(away / SUPPORTED, -away / OPPOSED)
 
 
 def _result(

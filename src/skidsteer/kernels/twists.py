@@ -89,8 +89,10 @@ def _scheduled_icr(theta: FloatArray, left: float, right: float, twist: FloatArr
     loss, fade, a = 1.0 + turn_loss * omega**2, 1.0 + slip_fade * abs(v), abs(v * omega)
     square = v**2 + (apart * omega) ** 2 + CREEP**2
     straight = v**2 / square
-    gain = 1.0 + straight_gain * straight + load_gain * a / (LEAN + a)
-    by_a = load_gain * LEAN / (LEAN + a) ** 2
+    lean = a / (LEAN + a)
+    closer = 1.0 - load_gain * lean
+    gain, straight_gain = (1.0 + straight_gain * straight) / closer, straight_gain / closer
+    by_a = gain / closer * load_gain * LEAN / (LEAN + a) ** 2
     turn_by_v = omega * (2.0 * straight_gain * v * (square - v**2) / square**2 + by_a * abs(omega) * np.sign(v))
     turn_by_omega = gain - 2.0 * straight_gain * (apart * v * omega / square) ** 2 + by_a * a
     for m in range(5):
@@ -108,8 +110,8 @@ def _scheduled_icr(theta: FloatArray, left: float, right: float, twist: FloatArr
     J[2, 1] -= by_apart
     J[0, 5] = -v * (omega / loss) ** 2
     J[1, 6] = -v * omega / fade
-    J[2, 7] = omega * straight
-    J[2, 8] = omega * a / (LEAN + a)
+    J[2, 7] = omega * straight / closer
+    J[2, 8] = omega * gain / closer * lean
     J[1, 7], J[1, 8] = -x * J[2, 7], -x * J[2, 8]
     J[1, 9] = side_slip * v * omega * abs(v) / fade**2
     twist[0], twist[1], twist[2] = v / loss, -x * omega * gain - side_slip * v * omega / fade, omega * gain
