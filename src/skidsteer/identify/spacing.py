@@ -22,9 +22,8 @@ def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
 
     With the right model of the noise every pose helps. Where a fit on all of them finds that errors last longer than
     that model explains (``Fit.inflated``: speeds that were commanded, not measured; slip that builds up), short
-    increments mostly repeat each other's error. Of the spacings at which the model does explain the errors, the one
-    that leaves the estimate most certain is taken; where it nowhere does, the most certain of all, by the block
-    sandwich covariance.
+    increments mostly repeat each other's error. The spacing is then the one whose estimate is most certain by its own
+    block sandwich covariance, the honest one.
     """
     full = [increment_windows(drive) for drive in drives]
     family: type[Model] = SymmetricIcr if options.mount is None else Icr
@@ -39,16 +38,15 @@ def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
         if _time(windows) < COVER * _time(full):
             break
         found[spacing] = fit(start, drives, windows, options)
-        log.debug("spacing %g s: inflated %.2f, spread %.3f", spacing, found[spacing].inflated, _spread(found[spacing]))
-    explained = {spacing: f for spacing, f in found.items() if f.inflated <= 1.0} or found
-    return min(explained, key=lambda spacing: _spread(explained[spacing]))
+        log.debug("spacing %g s: inflated %.2f, spread %.3f", spacing, found[spacing].inflated, spread(found[spacing]))
+    return min(found, key=lambda spacing: spread(found[spacing]))
 
 
 def _time(windows: list[Windows]) -> float:
     return float(sum((w.end - w.start).sum() for w in windows))
 
 
-def _spread(found: Fit) -> float:
+def spread(found: Fit) -> float:
     """Mean logarithm of the model's sigmas, along the axes of their ellipsoid."""
     p = len(found.model.theta)
     return float(0.5 * np.linalg.slogdet(found.covariance[:p, :p])[1] / p)
