@@ -7,7 +7,7 @@ from noisy_drives import TRUE_NOISE, simulated
 from skidsteer.identify.least_squares import FitOptions, fit
 from skidsteer.identify.spacing import CANDIDATES, GAIN, choose_spacing, spread
 from skidsteer.io.drives import load_drive
-from skidsteer.models import Icr
+from skidsteer.models import ScheduledIcr
 from skidsteer.windows import increment_windows
 
 
@@ -19,7 +19,9 @@ def test_where_errors_last_a_spacing_is_taken_that_makes_the_estimate_clearly_mo
     real: Callable[[str], Path],
 ) -> None:
     drive = load_drive(real("warthog-grass-b"))
-    fits = {s: fit(Icr.nominal(drive.vehicle), [drive], [increment_windows(drive, s)]) for s in (0.0, *CANDIDATES)}
+    fits = {
+        s: fit(ScheduledIcr.nominal(drive.vehicle), [drive], [increment_windows(drive, s)]) for s in (0.0, *CANDIDATES)
+    }
     chosen = choose_spacing([drive], FitOptions())
     assert fits[0.0].inflated > 1.0
     assert chosen > 0.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from skidsteer.drive import Drive
 from skidsteer.identify.least_squares import Fit, FitOptions, fit
-from skidsteer.models import Icr, Model, Multiplier, SymmetricIcr
+from skidsteer.models import Model, Multiplier, ScheduledIcr, SymmetricIcr
 from skidsteer.windows import Windows, increment_windows
 
 log = logging.getLogger(__name__)
@@ -24,10 +24,11 @@ def choose_spacing(drives: list[Drive], options: FitOptions) -> float:
     With the right model of the noise every pose helps. Where a fit on all of them finds that errors last longer than
     that model explains (``Fit.inflated``: speeds that were commanded, not measured; slip that builds up), short
     increments mostly repeat each other's error. The spacing is then the one whose estimate is most certain by its own
-    block sandwich covariance, the honest one.
+    block sandwich covariance, the honest one. The freest model is fitted: what a simpler one misfits at speed would
+    pass for errors that last.
     """
     full = [increment_windows(drive) for drive in drives]
-    family: type[Model] = SymmetricIcr if options.mount is None else Icr
+    family: type[Model] = SymmetricIcr if options.mount is None else ScheduledIcr
     if all(drive.reference is None for drive in drives):
         family = Multiplier
     start = family.nominal(drives[0].vehicle)
