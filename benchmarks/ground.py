@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from skidsteer.drive import Drive, Series
+from skidsteer.errors import RequestError
 from skidsteer.evaluation import evaluate
 from skidsteer.identify.calibrate import CalibrateOptions, calibrate
 from skidsteer.models import Icr
@@ -269,27 +270,42 @@ CONSTANT = (
 )
 
 
+SPEEDY = (("warthog", "asphalt"), ("warthog", "gravel"), ("warthog", "ice"), ("jackal", "gravel"), ("jackal", "ice"))
+
+
+def steady_slip(made: Robot, terrain: Terrain) -> str:
+    """icr_x over v of steady turns at 2 m/s, lambda 4 and 8."""
+    turns = rims_on_path(np.array([4.0, 8.0]), 2.0)
+    try:
+        steady = steady_turn(made, terrain, turns[:, 0], turns[:, 1])
+    except RequestError:
+        return "no balance"
+    return ", ".join(f"{c:.3f}" for c in steady.icr_x / steady.twist[:, 0])
+
+
 def at_speed() -> Iterator[str]:
     yield "## At speed"
     rows = []
-    for vehicle, terrain in (("warthog", "asphalt"), ("warthog", "gravel"), ("jackal", "gravel")):
+    for vehicle, terrain in SPEEDY:
         made = robot(replace(preset(vehicle), max_wheel_speed=None))
         _, (drive, other, *_) = drives_of(made, TERRAINS[terrain], paths((0.5, 1.0, 2.0), (0.3, 0.6, 1.0)))
-        cells, slip = [], ""
+        cells: list[str] = []
+        terms: list[str] = []
         for name in ("icr", "scheduled_icr"):
             known = calibrate(drive, options=CalibrateOptions(model=name))
             figures = evaluate(known, [other]).total
-            cells.append(f"{100 * figures.translation_m.median:.1f} ({100 * figures.translation_m.rms:.1f})")
+            far, turned = figures.translation_m, figures.yaw_deg
+            assert turned is not None
+            cells.append(f"{100 * far.median:.1f} ({100 * far.rms:.1f}), {turned.median:.2f} ({turned.rms:.1f})")
             if name == "scheduled_icr":
-                side = known.parameters["side_slip"]
-                slip = f"{side.value:.3f} +- {side.sigma:.3f}"
-        turns = rims_on_path(np.array([4.0, 8.0]), 2.0)
-        steady = steady_turn(made, TERRAINS[terrain], turns[:, 0], turns[:, 1])
-        direct = steady.icr_x / steady.twist[:, 0]
-        rows.append([f"{vehicle}, {terrain}", *cells, slip, ", ".join(f"{c:.3f}" for c in direct)])
+                found = (known.parameters[term] for term in ("side_slip", "load_gain"))
+                terms = [f"{term.value:.3f} +- {term.sigma:.3f}" for term in found]
+        rows.append([f"{vehicle}, {terrain}", *cells, *terms, steady_slip(made, TERRAINS[terrain])])
         print(rows[-1], flush=True)
-    head = ["drives up to 2 m/s", "constant: 2 s [cm], median (RMS)", "scheduled"]
-    yield from table([*head, "side_slip found [s]", "icr_x / v of steady turns at 2 m/s, lambda 4, 8 [s]"], rows)
+    head = ["drives up to 2 m/s", "constant: 2 s, median (RMS) [cm], yaw [deg]", "scheduled"]
+    yield from table(
+        [*head, "side_slip found [s]", "load_gain", "icr_x / v of steady turns at 2 m/s, lambda 4, 8 [s]"], rows
+    )
     yield ""
     yield from SLIP
 
