@@ -595,7 +595,7 @@ def test_no_room_leaves_no_part_of_a_page(
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr(os, "fsync", full)
-    code, _, err = call("report", saved[0], "--out", tmp_path / "r.html")
+    code, _, err = call("report", saved[0], "--out", tmp_path / "r.html", "--force")
     assert code == 1
     assert "No space left on device" in err
     assert (tmp_path / "r.html").read_text() == "the old one"
